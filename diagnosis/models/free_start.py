@@ -98,7 +98,7 @@ class FreeStart:
             return present
         part = _first(segment, self.thresholds.free_start_durations[-1])
         hover = self.model.settled(part)
-        without = self._force(part, absent, hover)
+        without = self._thrust(part, absent)
         push, left = self._force(part, present, hover) - without, channels.measured(part)[:, _channel(part)] - without
         factor = float(np.clip(np.sum(push * left) / np.sum(push**2), *self.thresholds.free_start_strength))
         return {name: absent[name] + factor * (value - absent[name]) for name, value in present.items()}
@@ -132,7 +132,7 @@ class FreeStart:
         if segment not in _moving:
             limits = self.thresholds
             part = _first(segment, limits.free_start_durations[-1])
-            thrust = self._force(part, absent, self.model.settled(part))
+            thrust = self._thrust(part, absent)
             left = channels.measured(part)[:, _channel(part)] - thrust
             columns = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
             left -= (columns @ np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]).reshape(left.shape)
@@ -159,7 +159,7 @@ class FreeStart:
             moved = [off, *(off + row for row in difference * np.eye(len(off)))]
             here, *others = self._forces_from(part, values, moved)
             slopes = [(force - here) / difference for force in others]
-            without = self._force(part, self._absent(values), self.model.settled(part))
+            without = self._thrust(part, self._absent(values))
             columns = np.stack([*slopes, *_nuisances(part, without)], axis=2)
             left = channels.measured(part)[:, _channel(part)] - here
             off = self._stepped(off, _posterior_step(columns, left, off))
@@ -180,6 +180,16 @@ class FreeStart:
     def _force(self, segment: Segment, values: Mapping[str, float], start: Floats) -> Floats:
         return self._forces(segment, values, [start])[0]
 
+    def _thrust(self, segment: Segment, absent: Mapping[str, float]) -> Floats:
+        """(m, 3) what the rotors give without the effect, whose other parameters then do not matter."""
+        others = {name: value for name, value in absent.items() if not name.startswith(f"{self.key}.")}
+        if segment in _thrusts and _thrusts[segment][0] == others:
+            return _thrusts[segment][1]
+        thrust = self._force(segment, absent, self.model.settled(segment))
+        if np.isfinite(thrust).all():  # hidden states that these logs are too slow for have no part in it elsewhere
+            _thrusts[segment] = others, thrust
+        return thrust
+
     def _forces(self, segment: Segment, values: Mapping[str, float], starts: Sequence[Floats]) -> list[Floats]:
         predictions, channel = self.model.predict_from(segment, values, starts), _channel(segment)
         kinds = tuple(channel.start == channels.AXES * i for i in range(len(channels.KINDS)))
@@ -196,6 +206,7 @@ class FreeStart:
 _starts: WeakKeyDictionary[Segment, dict[tuple[str, bytes], Floats]] = WeakKeyDictionary()
 _anchors: WeakKeyDictionary[Segment, dict[tuple[str, bytes], tuple[Floats, Floats]]] = WeakKeyDictionary()
 _moving: WeakKeyDictionary[Segment, bool] = WeakKeyDictionary()
+_thrusts: WeakKeyDictionary[Segment, tuple[dict[str, float], Floats]] = WeakKeyDictionary()
 _firsts: WeakKeyDictionary[Segment, dict[int, Segment]] = WeakKeyDictionary()
 
 
