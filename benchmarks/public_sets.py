@@ -127,6 +127,8 @@ SETS = {
 
 def folder_of(public: PublicSet, parent: Path) -> Path:
     """Of a set's download. Raises RequestError, with what to download, where there is none."""
+    if not parent.is_dir():
+        raise RequestError(f"{parent} is no folder. Give the folder that holds the downloads as DIR.")
     for name in public.folders:
         if (parent / name).is_dir() and any((parent / name).glob(public.pattern)):
             return parent / name
@@ -139,15 +141,25 @@ def folder_of(public: PublicSet, parent: Path) -> Path:
     )
 
 
+def _shortened(error: AlulaError, path: Path) -> str:
+    """The beginning of a message without its file."""
+    return str(error).removeprefix(f"{path}").lstrip(": ")[:160]
+
+
 def section(public: PublicSet, folder: Path, limit: int) -> str:
-    """What a diagnosis says of a set, held-out errors over their floor, and open-loop errors before and after."""
+    """What a diagnosis says of a set, held-out errors over their floor, and open-loop errors before and after.
+
+    Raises RequestError where no flight of it can be read.
+    """
     paths = sorted(folder.glob(public.pattern))[:limit]
     flights, left_out = [], []
     for path in paths:
         try:
             flights.append(public.read(path))
         except AlulaError as error:
-            left_out.append(f"{path.name}: {str(error)[:120]}")
+            left_out.append(f"{path.name}: {_shortened(error, path)}")
+    if not flights:
+        raise RequestError(f"{folder}: none of {len(paths)} flights of {public.title} can be read. {left_out[0]}")
     vehicle = public.vehicle()
     head = [f"## {public.title}", "", f"{public.source}. {len(flights)} flights."]
     head += [f"Not verified without the data: {public.unverified}."] if public.unverified else []
@@ -202,12 +214,10 @@ def main() -> None:
     parts, missing = [], []
     for name in options.sets:
         try:
-            folder = folder_of(SETS[name], options.folder)
+            parts.append(section(SETS[name], folder_of(SETS[name], options.folder), options.flights))
         except RequestError as error:
             missing.append(str(error))
-            continue
-        parts.append(section(SETS[name], folder, options.flights))
-    print("\n".join(missing), file=sys.stderr)
+    print("\n".join(dict.fromkeys(missing)), file=sys.stderr)
     if not parts:
         raise SystemExit(2)
     write_result("public_sets", "Public flights", "\n\n".join(parts))
