@@ -417,6 +417,8 @@ class RivalThresholds(ThresholdGroup, frozen=True):
     max_rivals: that are compared with an effect. [margins: neither]
     min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
     are declared where the catalogue says that they look alike. [margins: neither]
+    min_alike_share: of an effect's gain that one which the catalogue declares to look like it has in its place, above
+    which the two are declared where the verdict is unknown. [definition: half of it]
     """
 
     score_margin: Score = 12.0
@@ -424,6 +426,7 @@ class RivalThresholds(ThresholdGroup, frozen=True):
     command_share: Share = 0.15
     max_rivals: Count = 7
     min_narrow_ratio: Share = 0.95
+    min_alike_share: Share = 0.5
 
 
 class GustThresholds(ThresholdGroup, frozen=True):

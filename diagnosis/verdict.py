@@ -71,7 +71,7 @@ def missing_effects(
                 parameters=_parameters(accepted.fit, candidate),
                 confidence=accepted.agreement[candidate.key],
                 ambiguous_with=tuple(
-                    dict.fromkeys([*near, *(_alike(regression, candidate, taken) if unknown else ())])
+                    dict.fromkeys([*near, *(_alike(search, others, candidate, taken) if unknown else ())])
                 ),
             )
         )
@@ -102,16 +102,20 @@ def _declared_alike(one: Effect, other: Effect) -> bool:
     return one.name in other.confounded_with or other.name in one.confounded_with
 
 
-def _alike(regression: Regression, candidate: Candidate, taken: Collection[str]) -> list[str]:
+def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, taken: Collection[str]) -> list[str]:
     """What the catalogue declares to have nearly the signal of a candidate, but for effects that are taken.
 
+    Of an inertia about one axis a torque constant may have the signal, of another one it has nothing: those that
+    explain less than a share of it in its place are told apart.
     Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
     """
-    others = {c.effect.name: c.effect for c in regression.candidates}
-    others |= {e.name: e for e in regression.catalogue.values() if e.acts_on == "rotor_clock"}
-    return [
-        other.name for other in others.values() if other.name not in taken and _declared_alike(candidate.effect, other)
-    ]
+    regression, alone = search.regression, search.score(others).gain
+    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - alone)
+    declared = {e.name: e for e in regression.catalogue.values() if _declared_alike(candidate.effect, e)}
+    tried = [c for c in regression.candidates if c.effect.name in declared]
+    able = {c.effect.name for c in tried if search.score([*others, c]).gain - alone >= required}
+    untried = {e.name for e in declared.values() if e.acts_on == "rotor_clock"} - {c.effect.name for c in tried}
+    return [name for name in declared if name in able | untried and name not in taken]
 
 
 def _parameters(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue]:

@@ -14,8 +14,18 @@ from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
 from diagnosis.selection.search import Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT
-from diagnosis.verdict import channel_errors, considered, gust_refusal, judge, not_excited, rejections
+from diagnosis.verdict import (
+    channel_errors,
+    considered,
+    gust_refusal,
+    judge,
+    missing_effects,
+    not_excited,
+    rejections,
+)
 from dynamics.effects import CATALOGUE
+from dynamics.vehicle import EffectUse
+from fixtures.compiled_flights import compiled_flights
 from tests.diagnosis.conftest import with_columns
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
@@ -183,3 +193,16 @@ def test_every_reason_of_a_refusal_has_its_words(reason):
     text = refusal_sentence(Refused("inertia", None, reason, numbers, "angular", {"ratio_x": 0.993}))
     assert text.startswith("inertia (ratio_x = 0.993): ")
     assert len(text) > 50
+
+
+def test_an_inertia_about_roll_and_pitch_is_no_torque_constant_in_an_unknown_either(arpl_250g):
+    """The catalogue declares that the two look alike, which they do about yaw alone."""
+    some = {n: CATALOGUE[n] for n in ("inertia", "torque_constant", "imu_bias", "gyro_bias", "time_delay")}
+    turning, alike = ("line:laps=3,ramp=1", "yaw_spin:laps=3,ramp=1") * 2, []
+    for ratios in ((1.3, 1.3, 1.0), (1.0, 1.0, 1.3)):
+        use = EffectUse("inertia", dict(zip(("ratio_x", "ratio_y", "ratio_z"), ratios, strict=True)))
+        flights = compiled_flights(arpl_250g, [use], catalogue=CATALOGUE, seed=8, manoeuvres=turning)
+        of = diagnose_dataset(make_dataset(flights, arpl_250g), arpl_250g, some)
+        named = missing_effects(of.regression, of.selection, of.accepted, gusty=False, unknown=True)
+        alike += [{one.name, *one.ambiguous_with} for one in named]
+    assert alike == [{"inertia"}, {"inertia", "torque_constant"}]

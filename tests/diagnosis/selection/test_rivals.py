@@ -40,3 +40,15 @@ def test_an_effect_that_is_chosen_already_is_no_rival(arpl_250g):
     search = searched(arpl_250g, difference=0.05)
     a, _, c = search.regression.candidates
     assert "c" not in names(rivals_of(search, [c], a)[1:])
+
+
+def test_as_many_as_look_alike_are_declared(arpl_250g):
+    random = np.random.default_rng(1)
+    columns = [np.repeat(random.standard_normal((80, CHANNELS, 1)), 5, axis=2) for _ in range(6)]
+    columns = [x + 0.05 * random.standard_normal(x.shape) for x in columns]
+    rows = [0.3 * x[:, :, 0] + random.standard_normal((80, CHANNELS)) for x in columns]
+    candidates = [candidate(effect(name), i) for i, name in enumerate("abcde")]
+    segments = hovering(arpl_250g, mass_ratio=1.0, seed=0)
+    search = Search(regression(arpl_250g, candidates, columns, rows, segments=segments))
+    rivals = rivals_of(search, [], search.regression.candidates[0])
+    assert sorted(names(near_rivals(search, [], rivals))) == ["b", "c", "d", "e"]
