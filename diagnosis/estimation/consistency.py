@@ -40,9 +40,10 @@ class Drift:
 def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[str, Drift]:
     """By key, the largest difference of each fitted effect that is more than chance, or else the largest.
 
-    Compared are the blocks of time that carry half of its signal with the others, and the first half of each flight
-    with the second. All effects are free in both parts, those of commands with their prior. By the slopes of the
-    regression about the fit. rows: (m, 12) residuals of the fit on the regression's segments.
+    Compared are the blocks of time that carry half of its signal with the others, the flights that carry half of it
+    with the others, and the first half of each flight with the second. All effects are free in both parts, those of
+    commands with their prior. By the slopes of the regression about the fit.
+    rows: (m, 12) residuals of the fit on the regression's segments.
     """
     if not fitted.candidates:
         return {}
@@ -52,23 +53,29 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
     blocks = list(_blocks(regression, rows, where))
     grams, products = np.array([b.gram for b in blocks]), np.array([b.product for b in blocks])
     early, limits = np.array([b.early for b in blocks]), regression.thresholds.consistency
+    flight = np.array([b.flight for b in blocks])
     results, begin = {}, 0
     for candidate in fitted.candidates:
         own = list(range(begin, begin + len(candidate.columns)))
         begin += len(own)
         theta = coefficients(fitted, candidate)
-        strong = _strongest_half(np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta))
-        both = [_drift(grams, products, prior, own, theta, part) for part in (strong, early)]
-        results[candidate.key] = max(both, key=lambda drift: (drift.matters(limits), drift.share))
+        power = np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta)
+        strong = _strongest_half(power), _strongest_half(np.bincount(flight, power).astype(float))[flight]
+        parts = [_drift(grams, products, prior, own, theta, part) for part in (*strong, early)]
+        results[candidate.key] = max(parts, key=lambda drift: (drift.matters(limits), drift.share))
     return results
 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Whitened normal equations (k, k) and (k,) of some columns in residuals; early: in its flight's first half."""
+    """Whitened normal equations (k, k) and (k,) of some columns in residuals.
+
+    flight: the number of its log. early: whether it is in the first half of what is left out together.
+    """
 
     gram: Floats
     product: Floats
+    flight: int
     early: bool
 
 
@@ -76,14 +83,17 @@ def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]
     noise = regression.noise
     length = max(noise.order, round(regression.thresholds.equation_error.block * regression.rate))
     lengths, flown = Counter[int](), Counter[int]()
+    logs = list(dict.fromkeys(segment.flight for segment in regression.segments))
     for flight, y in zip(regression.flight_of, rows, strict=True):
         lengths[flight] += len(y)
-    for flight, y, columns in zip(regression.flight_of, rows, regression.columns, strict=True):
+    for segment, flight, y, columns in zip(
+        regression.segments, regression.flight_of, rows, regression.columns, strict=True
+    ):
         white_y, white_x = noise.whiten(y), noise.whiten(columns[:, :, list(where)])
         for start in range(0, len(white_y), length):
             x = white_x[start : start + length].reshape(-1, len(where))
             early = flown[flight] + start + length / 2 < lengths[flight] / 2
-            yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), early)
+            yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), logs.index(segment.flight), early)
         flown[flight] += len(y)
 
 
@@ -105,7 +115,7 @@ def _drift(
 
 
 def _strongest_half(power: Floats) -> NDArray[np.bool_]:
-    """(b,) whether a block is among the strongest, which together have half of the power."""
+    """(b,) whether a block, or flight, is among the strongest, which together have half of the power."""
     order = np.argsort(-power)
     before = np.cumsum(power[order]) - power[order]
     strong = np.zeros(len(power), dtype=bool)

@@ -1,5 +1,7 @@
 """An effect of the right form has one value; one that stands in for another form has several."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,24 +9,25 @@ from diagnosis.estimation.consistency import drifts
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.thresholds import DEFAULT
-from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
 
-FLIGHTS, ROWS = 4, 500
+ROWS = 500
 
 
-def fitted(vehicle, form, *, seed=0, others=()):
+def fitted(vehicle, form, *, seed=0, sizes=(1.0, 2.0, 3.0, 4.0)):
     """A fit of a drag that grows with the speed to flights whose drag has another form, and its residuals."""
     random = np.random.default_rng(seed)
     columns, rows = [], []
-    for i in range(FLIGHTS):
-        speed = (i + 1) * np.sin(np.arange(ROWS) / 25)
+    for size in sizes:
+        speed = size * np.sin(np.arange(ROWS) / 25)
         x = np.zeros((ROWS, CHANNELS, 2))
         x[:, 0, 0] = x[:, 3, 0] = speed
         x[:, 1, 1] = np.cos(np.arange(ROWS) / 40)
         columns.append(x)
         rows.append(form(x[:, :, 0]) + random.standard_normal((ROWS, CHANNELS)))
     drag, other = candidate(effect("drag"), 0), candidate(effect("other"), 1)
-    of_all = regression(vehicle, [drag, other], columns, rows)
+    segments = hovering(vehicle, mass_ratio=1.0, seed=0, count=len(rows))
+    of_all = regression(vehicle, [drag, other], columns, rows, segments=segments)
     theta, _ = of_all.solve([0, 1])
     estimates = {("drag", "size"): ParameterEstimate(theta[0], 0.1, "1")}
     estimates |= {("other", "size"): ParameterEstimate(theta[1], 0.1, "1")}
@@ -50,6 +53,21 @@ def test_a_constant_that_stands_in_for_what_warms_up_drifts(arpl_250g):
     warming = 1 - np.exp(-np.arange(ROWS) / 150)[:, None]
     drift = drifts(*fitted(arpl_250g, lambda speed: warming * speed))["drag"]
     assert drift.matters()
+
+
+def test_a_form_with_another_value_in_other_flights_drifts(arpl_250g):
+    """Those where it acts strongly are as strong as the others at most times: blocks of time do not show it."""
+    factors = iter([1.0, 1.0, 1.6, 1.6])
+    drift = drifts(*fitted(arpl_250g, lambda speed: next(factors) * speed, sizes=(1.0, 1.0, 1.05, 1.05)))["drag"]
+    assert drift.share == pytest.approx(0.6 / 1.3, abs=0.1)
+    assert drift.matters()
+
+
+def test_parts_of_one_log_are_no_flights(arpl_250g):
+    factors = iter([1.0, 1.0, 1.6, 1.6])
+    of_all, fit, left = fitted(arpl_250g, lambda speed: next(factors) * speed, sizes=(1.0, 1.0, 1.05, 1.05))
+    one_log = replace(of_all, segments=[replace(segment, flight="log") for segment in of_all.segments])
+    assert drifts(one_log, fit, left)["drag"].share < 0.2
 
 
 def test_a_difference_by_chance_is_none(arpl_250g):
