@@ -26,7 +26,7 @@ import alula
 from benchmarks.provenance import write_result
 from dynamics.errors import AlulaError
 from dynamics.vehicle_file import read_vehicle
-from fixtures.outside_sih import CHANGES, PATHS, SihFlight, change, fly_sih, sih_flight
+from fixtures.outside_sih import HIDDEN_CHANGES, PATHS, SihFlight, change, fly_sih, sih_flight
 from vehicles import FOLDER
 
 FLOWN, VEHICLE = Path("build/px4_blind"), FOLDER / "px4_sih.toml"
@@ -153,7 +153,7 @@ def table(results: Sequence[Result]) -> str:
         f"| processor time for 100 s of flight, median, greatest | {np.median(took):.1f}, {max(took):.1f} s | |",
         "", "| hidden | seed | answer | what was said |", "| --- | --- | --- | --- |",
     ]  # fmt: skip
-    for r in sorted(results, key=lambda r: (list(CHANGES).index(r["name"]), r["seed"])):
+    for r in sorted(results, key=lambda r: (list(HIDDEN_CHANGES).index(r["name"]), r["seed"])):
         truth = " ".join(f"{value:.4g}" for values in r["hidden"].values() for value in list(values.values())[:1])
         lines.append(f"| {r['name']}{f': {truth}' if truth else ''} | {r['seed']} | {kinds[r['key']]} | {spoken(r)} |")
     return "\n".join(lines)
@@ -164,7 +164,7 @@ def main() -> None:
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--first", type=int, default=1, help="the first seed")
     made.add_argument("--count", type=int, default=1, help="seeds")
-    made.add_argument("--names", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="changes")
+    made.add_argument("--names", nargs="*", default=list(HIDDEN_CHANGES), choices=list(HIDDEN_CHANGES), help="changes")
     made.add_argument("--kept", type=Path, default=Path("build/px4_blind.jsonl"), help="where answers are kept")
     made.add_argument("--table", action="store_true", help="write results/px4_blind.md")
     options = made.parse_args()
