@@ -442,7 +442,7 @@ def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
     surely = gust.intensity - limits.deviations * gust.std
     clear = surely > 0.0 and gust.share >= limits.min_agreement
     air = of_gust.over_error * regression.pose.as_gust(gust.corner) < surely
-    air &= gust.intensity < (1 - 1e-6) * of_gust.intensity[1]
+    air &= not _is_strongest(gust, regression)
     return clear and air and gust.score >= max(_relevant(regression), min_score)
 
 
@@ -478,6 +478,15 @@ def _searched(
 
 
 def gust_variance(regression: Regression, chosen: Set) -> float:
-    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough."""
+    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough, or is the strongest that is tried.
+
+    That one stands in for a force that is none of the air: it leaves the forces nothing of slow motion, beside which a
+    drag that is there has impossible values.
+    """
     gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
-    return gust.variance if gust.score >= regression.thresholds.search.min_gain else 0.0
+    none = gust.score < regression.thresholds.search.min_gain or _is_strongest(gust, regression)
+    return 0.0 if none else gust.variance
+
+
+def _is_strongest(gust: Gust, regression: Regression) -> bool:
+    return gust.intensity >= (1 - 1e-6) * regression.thresholds.gust.intensity[1]

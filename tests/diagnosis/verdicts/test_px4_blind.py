@@ -1,0 +1,44 @@
+"""Changes of PX4's simulated quadrotor are named from logs as real PX4 writes them: commands, and its estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import alula
+from dynamics.vehicle_file import read_vehicle
+from fixtures.outside_sih import PATHS, fly_sih, sih_flight
+from vehicles import FOLDER
+
+VEHICLE = FOLDER / "px4_sih.toml"
+DURATION = 34.0  # s
+SETS = {  # the open loop's position refused it
+    "inertia": ({"ratio_x": 1.3, "ratio_y": 1.3, "ratio_z": 1.3}, (0, 1, 3)),
+}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of each set."""
+    folder, vehicle = tmp_path_factory.mktemp("px4"), read_vehicle(VEHICLE)
+    names = [name for name, (_, paths) in SETS.items() for _ in paths]
+    flights = [
+        sih_flight(PATHS[path], vehicle, {name: hidden}, DURATION, 40 + path)
+        for name, (hidden, paths) in SETS.items()
+        for path in paths
+    ]
+    for number, (name, log) in enumerate(zip(names, fly_sih(flights), strict=True)):
+        assert log is not None
+        (folder / name).mkdir(exist_ok=True)
+        (folder / name / f"{number}.ulg").write_bytes(log)
+    return folder
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_a_change_is_named_alone_and_with_its_value(flown: Path, name: str) -> None:
+    diagnosis = alula.diagnose(str(flown / name), str(VEHICLE))
+    assert [effect.name for effect in diagnosis.report.effects] == [name], diagnosis.sentence
+    assert diagnosis.report.verdict != "unknown", diagnosis.sentence
+    for key, value in SETS[name][0].items():
+        assert diagnosis.report.effects[0].parameters[key].value == pytest.approx(value, rel=0.05)
