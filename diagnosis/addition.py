@@ -13,7 +13,7 @@ import numpy as np
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
-from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
+from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of, with_nuisances_of
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
@@ -23,7 +23,7 @@ from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
-from diagnosis.report import ChannelError, Diagnosis
+from diagnosis.report import ChannelError, CommandGain, Diagnosis
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
@@ -158,7 +158,11 @@ def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: 
     before: the vehicle with the fit's sensor faults.
     """
     names = ", ".join(fitted.keys)
-    worse = judge.worse_channels(vehicle, fitted.vehicle) | judge.worse_open_loop(before, fitted.vehicle)
+    open_loop = judge.worse_open_loop(before, fitted.vehicle)
+    if open_loop and fitted.nuisances:
+        alike = judge.worse_open_loop(with_nuisances_of(fitted, vehicle), fitted.vehicle)
+        open_loop = {where: change for where, change in open_loop.items() if where in alike}
+    worse = judge.worse_channels(vehicle, fitted.vehicle) | open_loop
     if worse:
         listed = "; ".join(f"{where}: {c.before:.4g} before, {c.after:.4g} after" for where, c in worse.items())
         raise DataError(
@@ -228,7 +232,10 @@ def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOG
     """
     if diagnosis.verdict == "explained":
         raise DataError("nothing was added: the model explains these flights down to the sensors' noise.")
-    named = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
+    gain = () if diagnosis.command_gain is None else diagnosis.command_gain.look_alikes
+    named = [e for e in diagnosis.effects if not catalogue[e.name].stochastic and e.name not in gain]
+    if not named and gain:
+        raise DataError(f"nothing was added: {_as_gain(diagnosis.command_gain)}.")
     if not named:
         raise DataError(
             _no_value(catalogue[diagnosis.effects[0].name])
@@ -237,8 +244,11 @@ def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOG
             "shows where the model fails; an effect of your own can be given with --effects."
         )
     notes = [
-        f"there is a {e.name} as well, which no vehicle file can hold" for e in diagnosis.effects if e not in named
+        f"there is a {e.name} as well, which no vehicle file can hold"
+        for e in diagnosis.effects
+        if catalogue[e.name].stochastic
     ]
+    notes += [_as_gain(diagnosis.command_gain)] if gain else []
     if diagnosis.verdict == "unknown":
         names = ", ".join(effect.name for effect in named)
         notes.append(f"{names}: a part of what is missing at most; no effect of the catalogue explains the rest")
@@ -247,6 +257,16 @@ def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOG
             others = ", ".join(effect.ambiguous_with)
             notes.append(f"these flights cannot tell {effect.name} from {others}: {diagnosis.next_flight}")
     return tuple(notes)
+
+
+def _as_gain(gain: CommandGain | None) -> str:
+    """What to do about a gain of the commands, which no fit tells from the motors' own."""
+    assert gain is not None
+    return (
+        f"the rotors give {gain.value:.3g} times the thrust of the file for their commands, and commands alone do not "
+        f"tell {', '.join(gain.look_alikes)} and the motors' own gain apart: weigh the vehicle; if body.mass is right, "
+        f"multiply rotors.thrust_constant by {gain.value:.3g}, or log the rotors' speeds"
+    )
 
 
 def _caveat(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+
+import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
@@ -29,10 +32,10 @@ from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.estimation.refusal import Refused, delay_in_words
 from diagnosis.leftover import leftover, with_typical_window
-from diagnosis.models.command_effects import AS_GAIN, without_command_effects
+from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import CommandGain, Diagnosis, MissingEffect
+from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
@@ -115,6 +118,9 @@ def diagnose_dataset(
         judged = judgement.of(accepted)
     selection = judged.selection
     effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
+    gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
+    if gain is not None:
+        effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.rejected))
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
@@ -132,7 +138,7 @@ def diagnose_dataset(
         leftover=left,
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
-        command_gain=_command_gain(dataset, accepted.fit, effects, thresholds.command_curve),
+        command_gain=gain,
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
@@ -184,8 +190,42 @@ def _command_gain(
     value, std = mean * ratio.value, mean * ratio.std
     change = abs(value - 1)
     sure = change > max(thresholds.min_gain_change, thresholds.gain_deviations * std)
-    named = {name for effect in effects for name in (effect.name, *effect.ambiguous_with)}
+    apart = [effect for effect in effects if effect.name not in BESIDE_THE_GAIN.values()]
+    named = {name for effect in apart for name in (effect.name, *effect.ambiguous_with)}
     return CommandGain(value, std, AS_GAIN if sure and named.isdisjoint(AS_GAIN) else ())
+
+
+def _with_gain(
+    effects: tuple[MissingEffect, ...], gain: CommandGain, dataset: Dataset, thresholds: Thresholds, *, unknown: bool
+) -> tuple[MissingEffect, ...]:
+    """The effects with the one that a gain is of the vehicle file, where it surely is one.
+
+    A file's thrust constant that is wrong is a gain, and a torque constant that undoes it: one cause. Without that a
+    gain is named where no test of the residuals rejects. unknown: whether one does.
+    """
+    if not gain.look_alikes:
+        return effects
+    name, *others = gain.look_alikes
+    values = {"ratio": ParameterValue(gain.value, gain.std, "1")}
+    for effect in effects:
+        if effect.name == BESIDE_THE_GAIN.get(name) and name in effect.ambiguous_with:
+            ratio = effect.parameters["ratio"]
+            undone, std = gain.value * ratio.value, math.hypot(gain.std * ratio.value, gain.value * ratio.std)
+            if abs(undone - 1) < thresholds.relevance.deviations * std:
+                alike = (effect.name, *(other for other in effect.ambiguous_with if other != name))
+                one_cause = MissingEffect(name, None, values, effect.confidence, alike)
+                return tuple(one_cause if one is effect else one for one in effects)
+    share = _share_of_flights(gain, dataset, thresholds)
+    return effects if unknown else (*effects, MissingEffect(name, None, values, share, tuple(others)))
+
+
+def _share_of_flights(gain: CommandGain, dataset: Dataset, thresholds: Thresholds) -> float:
+    """Share of flight resamples whose gain is not 1, on the same side."""
+    assert dataset.curve is not None
+    means = np.array([flight.mean for flight in dataset.curve.gains.values()])
+    resampled = np.random.default_rng(0).choice(means, size=(thresholds.verdict.resamples, means.size)).mean(axis=1)
+    change = (resampled * gain.value / means.mean() - 1) * np.sign(gain.value - 1)
+    return float(np.mean(change > thresholds.command_curve.min_gain_change))
 
 
 def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:

@@ -116,7 +116,8 @@ class CommandGain(msgspec.Struct, frozen=True):
     """Thrust over that which the vehicle file gives for the motor commands, where no rotor speed was measured.
 
     value, std: over all flights, fitted beside the effects that are named.
-    look_alikes: effects that show as nothing but such a gain, where it is surely not 1 and none of them is named.
+    look_alikes: effects that show as nothing but such a gain, where it is surely not 1 and none of them was found by
+        anything else. The first of them is then named beside the others, unless a test of the residuals rejects.
     """
 
     value: float

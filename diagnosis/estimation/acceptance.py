@@ -381,6 +381,9 @@ class _Trial:
         before = with_faults_of(best, self._vehicle)
         compared = self._held_out.open_loop_changes(before, best.vehicle) if moving else {}
         worse = {place: change for place, change in compared.items() if change.is_worse(self._limits)}
+        if worse and best.nuisances:
+            alike = self._held_out.open_loop_changes(with_nuisances_of(best, self._vehicle), best.vehicle)
+            worse = {place: change for place, change in worse.items() if alike[place].is_worse(self._limits)}
         if not worse:
             return []
         (horizon, quantity), change = max(worse.items(), key=lambda item: item[1].rise)
@@ -405,6 +408,17 @@ def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
     faults = [c for c in fitted.candidates if not c.effect.moves_vehicle]
     values = {f"{key}.{name}": estimate.value for (key, name), estimate in fitted.estimates.items()}
     return with_candidates(vehicle, faults, values)
+
+
+def with_nuisances_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
+    """The same with what lies between command and thrust as in the fit, too.
+
+    A gain that moves within its own deviation, as it does beside any effect, moves the open loop by that much: what
+    rises against this vehicle as well is the effects' doing.
+    """
+    faults = [c for c in fitted.candidates if not c.effect.moves_vehicle]
+    values = {f"{key}.{name}": value for (key, name), value in fitted.values.items()}
+    return with_candidates(vehicle, [*faults, *fitted.nuisances], values)
 
 
 def _strength(by_kind: Mapping[str, ErrorChange]) -> float:

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from diagnosis.addition import notes_of_set
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.refusal import Reason, Refused
@@ -24,6 +25,7 @@ from diagnosis.verdict import (
     rejections,
 )
 from dynamics.effects import CATALOGUE
+from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
 from tests.diagnosis.conftest import with_columns
@@ -169,11 +171,20 @@ def test_a_gain_of_commands_that_is_surely_not_one_has_what_may_be_behind_it(pla
     vehicle = msgspec.structs.replace(arpl_250g, rotors=rotors)
     flights = [with_columns(flight, signals(flight, vehicle)) for flight in plain_flights]
     diagnosis = diagnose_dataset(make_dataset(flights, vehicle), vehicle, CATALOGUE).diagnosis
-    assert not {"mass", "thrust_constant"} & {effect.name for effect in diagnosis.effects}
     gain = diagnosis.command_gain
     assert gain.value == pytest.approx(1 / factor, abs=max(0.01, 2 * gain.std))
     assert gain.look_alikes == behind
     assert ("thrust_constant or mass may be behind it" in sentence(diagnosis)) is bool(behind)
+    assert diagnosis.verdict == ("ambiguous" if behind else "explained")
+    if not behind:
+        assert diagnosis.effects == ()
+        return
+    (effect,) = diagnosis.effects  # a gain, and a torque constant that undoes it: one cause
+    assert (effect.name, effect.ambiguous_with) == ("thrust_constant", ("torque_constant", "inertia"))
+    assert effect.confidence > 0.5
+    assert effect.parameters["ratio"].value == gain.value
+    with pytest.raises(DataError, match=r"nothing was added: the rotors give 0\.8[89]\d* times .*weigh the vehicle"):
+        notes_of_set(diagnosis)
 
 
 def test_measured_speeds_have_no_gain(plain_flights, arpl_250g):
