@@ -232,7 +232,8 @@ static int fit_unknown(int count, int column, int axis) {
     return column < count ? column : count + 3 * (column - count) + axis;
 }
 
-/* Normal equations of the sweep with the priors: of the parameters' states about zero, of the offset about zero. */
+/* Normal equations of the sweep with the priors: of the parameters' states about zero, of the offset about zero. Upwards
+ * the offset is free beside the wind, too: what the effectiveness of thrust errs by is constant there. */
 static void fit_equations(const parameter_fit *t, const flight_filter *f, double M[UNKNOWNS][UNKNOWNS], double *right) {
     const filter_options *o = &f->options;
     const int n = o->count;
@@ -243,7 +244,7 @@ static void fit_equations(const parameter_fit *t, const flight_filter *f, double
     for (int i = 0; i < 3; i++) {
         for (int before = 0; before < 2; before++) {
             const int row = n + 3 * before + i;
-            const double offset = wind && !before ? o->offset : FIT_FREE_OFFSET;
+            const double offset = wind && !before && i != 2 ? o->offset : FIT_FREE_OFFSET;
             M[row][row] = 1 / (offset * offset), right[row] = -t->offset[before][i] / (offset * offset);
         }
         for (int r = 0; r < n + 2; r++) {

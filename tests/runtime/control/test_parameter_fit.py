@@ -145,6 +145,15 @@ def test_hover_shows_the_wind_beside_a_drag_that_the_file_has(arpl_250g: Vehicle
     assert result["wind.x"][1] < 1.5
 
 
+def test_thrust_that_is_a_little_off_is_no_vertical_wind(arpl_250g: Vehicle) -> None:
+    """Beside the drag of PX4's vehicle it was a wind of 1.9 +- 0.4 m/s upwards, and tracking was worse by 1.3."""
+    identified = arpl_250g.with_effects(EffectUse("linear_drag", {"coefficient": 0.25}))
+    plant = truth(identified.with_effects(EffectUse("thrust_constant", {"ratio": 1.02})))
+    result = named(followed_flight(identified, plant, ((2.0, 1.5, 0.3), (1.6, 1.6, 1.6))))
+    assert abs(result["wind.z"][0]) < 1.96 * result["wind.z"][1]
+    assert result["wind.x"][1] < 0.5
+
+
 def test_with_nothing_hidden_forecasts_are_the_files(arpl_250g: Vehicle) -> None:
     """Where it expected gusts it followed the errors of the estimate, forecast worse by 1.8, and was refused."""
     for path in (ELLIPSE, ((0.0,) * 3, (1.0,) * 3)):
