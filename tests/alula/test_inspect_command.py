@@ -72,6 +72,18 @@ def test_a_log_that_cannot_answer_ends_with_3_and_the_reason(inspect: Inspect, p
     assert "Traceback" not in done.err
 
 
+@pytest.mark.parametrize(("name", "code", "flown_for"), [("refused_lying_61deg", 3, 0.0), ("tipped_140deg", 0, 10.2)])
+def test_lying_on_the_ground_with_motors_on_is_no_flight(
+    inspect: Inspect, name: str, code: int, flown_for: float
+) -> None:
+    """Real PX4, which flew for 0 s and for 10.0 s; ground was once counted as flight."""
+    done = inspect(Path("tests/data/px4_sih_flights") / f"{name}.ulg.gz", "--json")
+    (inspection,) = msgspec.json.decode(done.out, type=list[Inspection])
+    assert done.code == code
+    assert inspection.free_flight == pytest.approx(flown_for, abs=0.3)
+    assert ("no_flight" in {finding.name for finding in inspection.findings}) == (code == 3)
+
+
 def test_a_cut_log_is_said_to_be_cut(inspect: Inspect, good: Path, tmp_path: Path) -> None:
     packed = gzip.compress(good.read_bytes())
     path = tmp_path / "cut.csv.gz"
