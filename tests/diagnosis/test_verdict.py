@@ -1,5 +1,6 @@
 """The verdict is `unknown` where a test of the residuals rejects, else that of the effects."""
 
+import dataclasses
 from typing import get_args
 
 import msgspec
@@ -9,6 +10,8 @@ import pytest
 from diagnosis.addition import notes_of_set
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
+from diagnosis.estimation.acceptance import Accepted
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
@@ -29,7 +32,7 @@ from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
 from tests.diagnosis.conftest import with_columns
-from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, planted, regression
 
 NO_GUST = Gust(0.0, 0.0, 0.0)
 LIMITS = DEFAULT.verdict
@@ -162,6 +165,28 @@ def test_effects_that_look_alike_are_in_the_text_of_unknown():
     both = MissingEffect("mass", None, {}, 1.0, ("thrust_constant", "slung_load"))
     text = sentence(Diagnosis("unknown", (both,), {}, (), (), "land"))
     assert "or else thrust_constant or slung_load" in text
+
+
+@pytest.mark.parametrize("reason", get_args(Reason))
+@pytest.mark.parametrize(("difference", "alike"), [(0.05, True), (2.0, False)])
+def test_a_refused_effect_looks_like_a_named_one_only_where_it_explains_as_much(arpl_250g, reason, difference, alike):
+    """It was advised to tell a refused force from a named torque. The catalogue declares that they look alike."""
+    random = np.random.default_rng(4)
+    columns = [random.standard_normal((80, CHANNELS, 2)) for _ in range(6)]
+    for x in columns:
+        x[:, :, 1] = x[:, :, 0] + difference * x[:, :, 1]
+    rows = [0.3 * x[:, :, 0] + random.standard_normal((80, CHANNELS)) for x in columns]
+    a, b = candidate(effect("a"), 0), candidate(dataclasses.replace(effect("b"), confounded_with=("a",)), 1)
+    segments = hovering(arpl_250g, mass_ratio=1.0, seed=0)
+    of_both = regression(arpl_250g, [a, b], columns, rows, segments=segments)
+    fitted = Fit(arpl_250g, {("a", "size"): ParameterEstimate(0.3, 0.02, "1")}, (a,))
+    level = 1.0 if alike else 2.0  # reduced chi-square with b in the place of a
+    refused = Refused("b", None, reason, {"chi_square": level, "of_rival": 1.0})
+    accepted = Accepted(fitted, (refused,), {}, {"a": 1.0}, np.ones(CHANNELS))
+    selection = Selection(Search(of_both).score([a]), (), NO_GUST, NO_GUST, False)
+    for unknown in (False, True):
+        (named,) = missing_effects(of_both, selection, accepted, gusty=False, unknown=unknown)
+        assert named.ambiguous_with == (("b",) if alike else ())
 
 
 @pytest.mark.parametrize(("factor", "behind"), [(1.0, ()), (1.12, ("thrust_constant", "mass"))])
