@@ -16,7 +16,7 @@ from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, P
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
-from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.rivals import alone, near_rivals, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from dynamics.arrays import Floats
@@ -109,11 +109,11 @@ def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, ta
     explain less than a share of it in its place are told apart.
     Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
     """
-    regression, alone = search.regression, search.score(others).gain
-    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - alone)
+    regression, least = search.regression, alone(search, others).gain
+    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - least)
     declared = {e.name: e for e in regression.catalogue.values() if _declared_alike(candidate.effect, e)}
     tried = [c for c in regression.candidates if c.effect.name in declared]
-    able = {c.effect.name for c in tried if search.score([*others, c]).gain - alone >= required}
+    able = {c.effect.name for c in tried if search.score([*others, c]).gain - least >= required}
     untried = {e.name for e in declared.values() if e.acts_on == "rotor_clock"} - {c.effect.name for c in tried}
     return [name for name in declared if name in able | untried and name not in taken]
 

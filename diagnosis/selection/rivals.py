@@ -25,12 +25,17 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
     return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:max_rivals]]
 
 
+def alone(search: Search, others: Sequence[Candidate]) -> Scored:
+    """The others without a chosen effect, but for those whose coefficients are impossible without it."""
+    return max(search.possible_scores([tuple(others)]), key=lambda scored: scored.score)
+
+
 def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
     """Those of the rivals that the flights cannot distinguish from the first, by the linear regression."""
     own, thresholds = rivals[0], search.regression.thresholds.rivals
     margin = max(thresholds.score_margin, thresholds.gain_share * own.gain)
     if search.regression.segments[0].rotor_source == "command":
-        margin = max(margin, thresholds.command_share * (own.score - search.score(others).score))
+        margin = max(margin, thresholds.command_share * (own.score - alone(search, others).score))
     return [
         s for s in rivals[1:] if s.score > min_score(s.candidates, search.thresholds) and s.score > own.score - margin
     ]
@@ -44,8 +49,8 @@ def resample_share(
     To win is to score higher than each rival in its place, and than the others without any.
     """
     regression, random = search.regression, np.random.default_rng(SEED)
-    alike, alone = [rivals[0], *near], search.score(others)
-    entries = [*alike, *(s for s in rivals if all(s is not one for one in alike)), alone]
+    alike, without = [rivals[0], *near], search.score(others)
+    entries = [*alike, *(s for s in rivals if all(s is not one for one in alike)), without]
     count = len(regression.flights)
     drawn = [random.choice(count, count) for _ in range(regression.thresholds.verdict.resamples)]
     weights = np.array([np.bincount(flights, minlength=count) for flights in drawn], dtype=float)

@@ -1,9 +1,11 @@
 """Effects whose signals are nearly the same are rivals, others are not."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from diagnosis.selection.rivals import near_rivals, rivals_of
-from diagnosis.selection.search import Search
+from diagnosis.selection.search import IMPOSSIBLE, Search
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
 
 
@@ -40,6 +42,24 @@ def test_an_effect_that_is_chosen_already_is_no_rival(arpl_250g):
     search = searched(arpl_250g, difference=0.05)
     a, _, c = search.regression.candidates
     assert "c" not in names(rivals_of(search, [c], a)[1:])
+
+
+def test_with_commands_what_explains_less_is_no_rival_where_the_others_alone_are_impossible(arpl_250g):
+    """a pushes against b, so that without b its coefficient is impossible. c explains two thirds of b."""
+    random = np.random.default_rng(2)
+    columns = [random.standard_normal((80, CHANNELS, 3)) for _ in range(6)]
+    for x in columns:
+        x[:, :, 1] += 0.5 * x[:, :, 0]
+        x[:, :, 2] = x[:, :, 1] + 0.7 * x[:, :, 2]
+    rows = [x[:, :, :2] @ [0.15, -0.4] + 0.1 * random.standard_normal((80, CHANNELS)) for x in columns]
+    candidates = [candidate(effect("a", lowest=0.0), 0), *(candidate(effect(n), i) for i, n in ((1, "b"), (2, "c")))]
+    segments = [replace(s, rotor_source="command") for s in hovering(arpl_250g, mass_ratio=1.0, seed=0)]
+    search = Search(regression(arpl_250g, candidates, columns, rows, segments=segments))
+    a, b, _ = candidates
+    assert search.score([a]).score == IMPOSSIBLE
+    rivals = rivals_of(search, [a], b)
+    assert names(rivals) == ["b", "c"]
+    assert near_rivals(search, [a], rivals) == []
 
 
 def test_as_many_as_look_alike_are_declared(arpl_250g):
