@@ -418,7 +418,8 @@ class RivalThresholds(ThresholdGroup, frozen=True):
     min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
     are declared where the catalogue says that they look alike. [margins: neither]
     min_alike_share: of an effect's gain that one which the catalogue declares to look like it has in its place, above
-    which the two are declared where the verdict is unknown. [definition: half of it]
+    which the two are declared where the verdict is unknown; and which a refused one takes from it. [definition: half of
+    it]
     """
 
     score_margin: Score = 12.0

@@ -57,10 +57,12 @@ def missing_effects(
     nearly the same signal is there, these flights then do not tell, even where one fits better.
     """
     search, effects, taken = Search(regression), [], {c.effect.name for c in accepted.fit.candidates}
+    left_out = {(one.name, one.rotor) for one in accepted.refused}
     for candidate in accepted.fit.candidates:
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
-        near = [s.candidates[-1].effect.name for s in near_rivals(search, others, rivals)]
+        alike = [s.candidates[-1] for s in near_rivals(search, others, rivals)]
+        near = [c.effect.name for c in alike if c.identity not in left_out or _takes_over(search, others, candidate, c)]
         near += _narrowly_worse(regression, candidate, accepted.refused)
         if regression.segments[0].rotor_source == "command":
             near += seen_as([candidate.effect.name, *near], regression.catalogue)
@@ -83,6 +85,16 @@ def missing_effects(
         air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
         effects.insert(0 if first else min(1, len(effects)), air)
     return tuple(effects)
+
+
+def _takes_over(search: Search, others: Sequence[Candidate], candidate: Candidate, rival: Candidate) -> bool:
+    """Whether a rival explains what a candidate does: else it is a further effect, which explains more in any place."""
+
+    def gain(*more: Candidate) -> float:
+        return alone(search, [*others, *more]).gain
+
+    own, beside = gain(candidate) - gain(), gain(rival, candidate) - gain(rival)
+    return beside <= (1.0 - search.regression.thresholds.rivals.min_alike_share) * own
 
 
 def _narrowly_worse(regression: Regression, candidate: Candidate, refused: Sequence[Refused]) -> list[str]:

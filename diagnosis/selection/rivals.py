@@ -26,7 +26,7 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
 
 
 def alone(search: Search, others: Sequence[Candidate]) -> Scored:
-    """The others without a chosen effect, but for those whose coefficients are impossible without it."""
+    """Effects without any other, but for those whose coefficients are impossible then."""
     return max(search.possible_scores([tuple(others)]), key=lambda scored: scored.score)
 
 

@@ -189,6 +189,20 @@ def test_a_refused_effect_looks_like_a_named_one_only_where_it_explains_as_much(
         assert named.ambiguous_with == (("b",) if alike else ())
 
 
+def test_a_refused_effect_that_explains_something_else_is_no_look_alike(arpl_250g):
+    """It explains more in any place, so that it was the rival of every named effect."""
+    random = np.random.default_rng(5)
+    columns = [random.standard_normal((80, CHANNELS, 2)) for _ in range(6)]
+    rows = [x @ [0.3, 0.6] + random.standard_normal((80, CHANNELS)) for x in columns]
+    a, b = candidate(effect("a"), 0), candidate(effect("b"), 1)
+    of_both = regression(arpl_250g, [a, b], columns, rows, segments=hovering(arpl_250g, mass_ratio=1.0, seed=0))
+    fitted = Fit(arpl_250g, {("a", "size"): ParameterEstimate(0.3, 0.02, "1")}, (a,))
+    accepted = Accepted(fitted, (Refused("b", None, "at_bound"),), {}, {"a": 1.0}, np.ones(CHANNELS))
+    selection = Selection(Search(of_both).score([a]), (), NO_GUST, NO_GUST, False)
+    (named,) = missing_effects(of_both, selection, accepted, gusty=False, unknown=False)
+    assert named.ambiguous_with == ()
+
+
 @pytest.mark.parametrize(("factor", "behind"), [(1.0, ()), (1.12, ("thrust_constant", "mass"))])
 def test_a_gain_of_commands_that_is_surely_not_one_has_what_may_be_behind_it(plain_flights, arpl_250g, factor, behind):
     """A file whose thrust constant is too large, which flights that log motor signals show as a gain alone."""
