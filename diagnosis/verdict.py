@@ -93,8 +93,8 @@ def _takes_over(search: Search, others: Sequence[Candidate], candidate: Candidat
     def gain(*more: Candidate) -> float:
         return alone(search, [*others, *more]).gain
 
-    own, beside = gain(candidate) - gain(), gain(rival, candidate) - gain(rival)
-    return beside <= (1.0 - search.regression.thresholds.rivals.min_alike_share) * own
+    own, remaining = gain(candidate) - gain(), gain(rival, candidate) - gain(rival)
+    return remaining <= (1.0 - search.regression.thresholds.rivals.min_alike_share) * own
 
 
 def _narrowly_worse(regression: Regression, candidate: Candidate, refused: Sequence[Refused]) -> list[str]:
@@ -121,11 +121,11 @@ def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, ta
     explain less than a share of it in its place are told apart.
     Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
     """
-    regression, least = search.regression, alone(search, others).gain
-    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - least)
+    regression, base = search.regression, alone(search, others).gain
+    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - base)
     declared = {e.name: e for e in regression.catalogue.values() if _declared_alike(candidate.effect, e)}
     tried = [c for c in regression.candidates if c.effect.name in declared]
-    able = {c.effect.name for c in tried if search.score([*others, c]).gain - least >= required}
+    able = {c.effect.name for c in tried if search.score([*others, c]).gain - base >= required}
     untried = {e.name for e in declared.values() if e.acts_on == "rotor_clock"} - {c.effect.name for c in tried}
     return [name for name in declared if name in able | untried and name not in taken]
 

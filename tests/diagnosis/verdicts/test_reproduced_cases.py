@@ -54,8 +54,8 @@ def test_of_fast_flights_the_one_hidden_drag_is_named_alone(layout: str) -> None
     diagnosis = diagnosed(flights_of(campaign), vehicle_of(campaign))
     assert diagnosis.verdict in ("effect", "ambiguous")
     assert [effect.name for effect in diagnosis.effects] == ["rotor_drag"]
-    found = diagnosis.effects[0].parameters["coefficient"].value
-    assert found == pytest.approx(hidden["rotor_drag"]["coefficient"], rel=0.01)
+    coefficient = diagnosis.effects[0].parameters["coefficient"].value
+    assert coefficient == pytest.approx(hidden["rotor_drag"]["coefficient"], rel=0.01)
 
 
 @pytest.fixture(scope="module", params=LAYOUTS)
@@ -198,11 +198,11 @@ def test_a_file_without_effects_is_completed_from_a_real_flight_and_no_error_ris
     vehicle = px4_nominal()
     dataset = read_dataset([str(DATA / "px4_sih_flights" / "textbook_1_circle.ulg.gz")], vehicle)
     added = add_effect(None, dataset, vehicle, CATALOGUE, date="2026-01-02")
-    found = {use.name: use.parameters for use in added.vehicle.effects}
-    assert set(added.keys) == set(found) == {"rotational_damping", "linear_drag", "motor_lag"}
+    values = {use.name: use.parameters for use in added.vehicle.effects}
+    assert set(added.keys) == set(values) == {"rotational_damping", "linear_drag", "motor_lag"}
     assert all(key in added.vehicle.history[-1].action for key in added.keys)
-    assert found["linear_drag"]["coefficient"] == pytest.approx(1.0, rel=0.05)
-    assert found["motor_lag"]["time_constant"] == pytest.approx(0.05, rel=0.1)
+    assert values["linear_drag"]["coefficient"] == pytest.approx(1.0, rel=0.05)
+    assert values["motor_lag"]["time_constant"] == pytest.approx(0.05, rel=0.1)
     assert all(change.after <= 1.01 * change.before for change in added.channels.values())
     assert all(
         getattr(now, name) <= 1.01 * getattr(was, name)
