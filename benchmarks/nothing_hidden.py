@@ -75,7 +75,8 @@ def flown(case: tuple[int, int, str]) -> dict[str, Any]:
 def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
     """Ratios of errors by manoeuvre, then by vehicle and estimator."""
     usual = {r["number"]: r for r in results if r["mode"] == "off"}
-    pairs = [r for r in results if r["mode"] == "on" and r["number"] in usual]
+    flown_twice = [r for r in results if r["mode"] == "on" and r["number"] in usual]
+    pairs = [r for r in flown_twice if np.isfinite([r["rmse"], usual[r["number"]]["rmse"]]).all()]
     body = [
         f"{len(pairs)} pairs of flights of {SECONDS:g} s with nothing hidden, seeds from {first} on: error of the "
         "model that follows over that of the vehicle file's, the same seed and manoeuvre. On PX4's estimate, in whole "
@@ -92,7 +93,9 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
         body.append(_row(f"{vehicle}, {estimator}", some, usual))
     body.append(_row("all", pairs, usual))
     ended = [sum(bool(r["aborted"]) for r in results if r["mode"] == mode) for mode in MODES]
-    return "\n".join([*body, "", f"Flights that ended early: {ended[0]} off, {ended[1]} on."])
+    early = f"Flights that ended early: {ended[0]} off, {ended[1]} on; "
+    left = len(flown_twice) - len(pairs)
+    return "\n".join([*body, "", f"{early}pairs left out since one of them never tracked: {left}."])
 
 
 def _row(name: str, some: Sequence[Mapping[str, Any]], usual: Mapping[int, Mapping[str, Any]]) -> str:

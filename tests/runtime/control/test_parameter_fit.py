@@ -149,7 +149,8 @@ def test_thrust_that_is_a_little_off_is_no_vertical_wind(arpl_250g: Vehicle) -> 
     """Beside the drag of PX4's vehicle it was a wind of 1.9 +- 0.4 m/s upwards, and tracking was worse by 1.3."""
     identified = arpl_250g.with_effects(EffectUse("linear_drag", {"coefficient": 0.25}))
     plant = truth(identified.with_effects(EffectUse("thrust_constant", {"ratio": 1.02})))
-    result = named(followed_flight(identified, plant, ((2.0, 1.5, 0.3), (1.6, 1.6, 1.6))))
+    settings = AdaptationSettings(mode="on", follow=("wind",))
+    result = named(followed_flight(identified, plant, ((2.0, 1.5, 0.3), (1.6, 1.6, 1.6)), settings=settings))
     assert abs(result["wind.z"][0]) < 1.96 * result["wind.z"][1]
     assert result["wind.x"][1] < 0.5
 
