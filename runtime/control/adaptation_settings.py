@@ -92,7 +92,8 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     rising, falling: s in which the level follows upwards and downwards.
     variation: by how much a drag's slope must vary for it to be followed, m/s^2 per standard deviation of its prior.
     drag_deviations: from zero, beyond which a drag is certain, and shows the wind.
-    offset: m/s^2, standard deviation of a constant force that is none of the wind's, beside a wind that is followed.
+    offset: m/s^2, standard deviation of a constant horizontal force that is none of the wind's, beside a wind that is
+        followed; upwards it is free.
     prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
     known_drag: standard deviation of a drag that the vehicle file has, as a share of it, if that is less.
     motor_lag: s, of the motors behind the autopilot's outputs.
