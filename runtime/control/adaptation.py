@@ -353,7 +353,7 @@ class Adaptation:
             self._solver.fly(self._settings.moments)
             return
         self._fly_network()
-        self.filter.fly_beside_a_network(self._settings.moments)
+        self._solver.fly_disturbance(self._settings.moments)
 
     def _add_command(self) -> None:
         """Let thrust follow the last command as it left, be it this controller's or one that it tracks."""

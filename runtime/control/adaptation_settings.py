@@ -90,6 +90,8 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     calm: least level of the noise that drives the linear disturbance, as a share of `linear`. The level follows what
         the last forecasts had as errors: in calm air a disturbance that followed gusts would follow the estimate's.
     rising, falling: s in which the level follows upwards and downwards.
+    persistence: s in which a linear disturbance is flown that stays within the noise of its estimate; beyond the noise
+        it is at once.
     variation: by how much a drag's slope must vary for it to be followed, m/s^2 per standard deviation of its prior.
     drag_deviations: from zero, beyond which a drag is certain, and shows the wind.
     offset: m/s^2, standard deviation of a constant horizontal force that is none of the wind's, beside a wind that is
@@ -113,11 +115,12 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     calm: Positive = 0.3
     rising: Positive = 0.3
     falling: Positive = 1.0
+    persistence: Positive = 20.0
     variation: Positive = 0.3
     drag_deviations: Positive = 3.0
     offset: Positive = 0.05
     prior_scale: Positive = 3.0
-    known_drag: Positive = 0.2
+    known_drag: Positive = 0.06
     motor_lag: NotNegative = 0.0
     rotors: RotorLossSettings = RotorLossSettings()
     guard: GuardLimits = GuardLimits()

@@ -16,7 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.followed_parameters import FollowedParameter, Group, has_known_drag
-from runtime.control.rti.solver import AXES, FADING, FOLLOWED, MAX_FOLLOWED, STAYING, RtiSolver
+from runtime.control.rti.solver import FADING, FILTER_SETTINGS, FOLLOWED, MAX_FOLLOWED, STAYING, RtiSolver
 
 MAX_INTERVAL = 0.1  # s between two estimates, beyond which the filter goes on from the newer one
 
@@ -102,14 +102,6 @@ class FlightFilter:
         """(n,) of the parameters."""
         return np.asarray(self.prior + self._scale * self._moved)
 
-    def fly_beside_a_network(self, moments: bool) -> None:
-        """Give the solver the disturbance, as far as it is trusted. moments: also the angular one."""
-        linear, angular = self.trust.tolist()
-        shares = [linear] * 3 + [angular * moments] * 3
-        parts = self.staying.tolist() + self.fading.tolist()
-        flown = [share * part for share, part in zip(shares + shares, parts, strict=True)]
-        self._solver.disturbance[: 2 * AXES] = flown
-
     @property
     def deviations(self) -> Floats:
         """(n,) standard deviations of the parameters."""
@@ -128,7 +120,7 @@ class FlightFilter:
         for name in ("measurement", "drift", "fading", "fading_time", "limit"):
             getattr(options, name)[:] = [getattr(kind, name) for kind in kinds]
         options.start[:] = [settings.start * kind.fading for kind in kinds]
-        for name in ("gate", "walk", "calm", "rising", "falling", "variation", "drag_deviations", "offset"):
+        for name in FILTER_SETTINGS:
             setattr(options, name, getattr(settings, name))
         guard = settings.guard
         options.forecast, options.averaging, options.tolerance = guard.forecast, guard.averaging, guard.tolerance

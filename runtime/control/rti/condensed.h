@@ -108,6 +108,7 @@ double *rti_filter_squares(condensed *r) { return &r->filter.square[0][0]; }
 double *rti_filter_deviations(condensed *r) { return r->filter.deviation; }
 int *rti_filter_followed(condensed *r) { return r->filter.followed; }
 void rti_filter_clear(condensed *r) { filter_clear(&r->filter); }
+void rti_fly_disturbance(condensed *r, double moments) { filter_flown(&r->filter, moments, r->disturbance); }
 double *rti_hessian(condensed *r) { return r->H; }
 double *rti_gradient(condensed *r) { return r->g; }
 rti_report *rti_last_report(condensed *r) { return &r->report; }

@@ -23,6 +23,7 @@ typedef struct {
     double gate;
     double walk;                  /* of an estimate's velocity error, m/s per sqrt(s) */
     double calm, rising, falling; /* of the level: its least value, and the s in which it follows up and down */
+    double persistence; /* s in which a disturbance that stays within its noise is flown after all */
     double variation, drag_deviations, offset; /* of the fit of parameters; offset: m/s^2, beside the wind */
     double forecast, averaging, tolerance, resolution[2]; /* of the guard */
     double known_drag; /* standard deviation, as a share of it, of a drag that the model has beside these, 0 for none */
@@ -44,6 +45,7 @@ typedef struct {
     double deviation[MAX_FOLLOWED]; /* standard deviation of each parameter's state */
     int followed[MAX_FOLLOWED];     /* whether the data can show it now */
     int restarts, clears;           /* how often */
+    double kept[3]; /* of the linear disturbance: what is flown although it may be noise, m/s^2 */
     double level, unexplained; /* of the noise that drives the linear disturbance; mean square that it follows, m^2/s^2 */
     filter_step steps[GUARD_STEPS];
     int step_count;
@@ -56,6 +58,7 @@ static void filter_clear(flight_filter *f) {
     const filter_options *o = &f->options;
     memset(f->state, 0, sizeof f->state);
     memset(f->P, 0, sizeof f->P);
+    memset(f->kept, 0, sizeof f->kept);
     for (int i = 0; i < AXES; i++) {
         f->P[i][i] = o->measurement[i] * o->measurement[i];
         f->P[STAYING + i][STAYING + i] = o->start[i] * o->start[i];
@@ -141,6 +144,39 @@ static bool filter_take(flight_filter *f, const double *measured) {
     return true;
 }
 
+/* Share of the linear disturbance that is more than the noise of its estimate: the positive-part estimator of James and
+ * Stein (1961) of three means, here about zero, with the mean variance of the axes. */
+static double filter_significance(const flight_filter *f) {
+    double square = 0, variance = 0;
+    for (int i = 0; i < 3; i++) {
+        const double sum = f->state[STAYING + i] + f->state[FADING + i];
+        const double *staying = f->P[STAYING + i], *fading = f->P[FADING + i];
+        square += sum * sum;
+        variance += (staying[STAYING + i] + 2 * staying[FADING + i] + fading[FADING + i]) / 3;
+    }
+    return square > variance ? 1 - variance / square : 0;
+}
+
+/* What predictions are to have of the disturbance: both parts (2 AXES), as far as they are trusted. */
+static void filter_flown(const flight_filter *f, double moments, double *flown) {
+    const double significance = filter_significance(f);
+    for (int i = 0; i < AXES; i++) {
+        const double trust = i < 3 ? f->trust[0] : f->trust[1] * moments, share = i < 3 ? trust * significance : trust;
+        flown[i] = share * f->state[STAYING + i] + (i < 3 ? trust * f->kept[i] : 0);
+        flown[AXES + i] = share * f->state[FADING + i];
+    }
+}
+
+/* Let what is not flown of the disturbance, as it may be noise, be flown where it persists: a constant one is, to all of
+ * its size. */
+static void filter_keep(flight_filter *f, double dt) {
+    const double significance = filter_significance(f), share = fmin(dt / f->options.persistence, 1);
+    for (int i = 0; i < 3; i++) {
+        const double sum = f->state[STAYING + i] + f->state[FADING + i];
+        f->kept[i] += share * ((1 - significance) * sum - f->kept[i]);
+    }
+}
+
 /* Let the level of the noise follow what a forecast over so many seconds left, the staying part aside. away: (3) m/s. */
 static void filter_follow_level(flight_filter *f, const double *away, double seconds, double dt) {
     const filter_options *o = &f->options;
@@ -210,6 +246,7 @@ static bool filter_update(flight_filter *f, const double *change, const double *
         filter_restart(f, measured);
         filter_set_level(f, 1);
     }
+    filter_keep(f, dt);
     return used;
 }
 

@@ -272,11 +272,7 @@ double rti_specific_drag(rti *r, const double *x, const double *inputs, double g
 void rti_fly(rti *r, double moments) {
     const flight_filter *f = &r->ocp.filter;
     const filter_options *o = &f->options;
-    for (int i = 0; i < AXES; i++) {
-        const double share = i < 3 ? f->trust[0] : f->trust[1] * moments;
-        r->ocp.disturbance[i] = share * f->state[STAYING + i];
-        r->ocp.disturbance[AXES + i] = share * f->state[FADING + i];
-    }
+    rti_fly_disturbance(&r->ocp, moments);
     for (int j = 0; j < o->count; j++)
         r->p[o->index[j]] = o->prior[j] + f->trust[0] * o->scale[j] * f->state[FOLLOWED + j];
 }

@@ -37,6 +37,9 @@ AXES = 6  # linear, world axes, then angular, body axes
 DISTURBANCE = 2 * AXES + 2
 STAYING, FADING, FOLLOWED = AXES, 2 * AXES, 3 * AXES  # where parts of the filter's state begin
 MAX_FOLLOWED = 16
+FILTER_SETTINGS = (
+    "gate", "walk", "calm", "rising", "falling", "persistence", "variation", "drag_deviations", "offset",
+)  # fmt: skip
 MAX_SEGMENTS = 64  # of inputs between two states
 
 
@@ -64,10 +67,7 @@ class FilterOptions(ctypes.Structure):
             (name, ctypes.c_double * AXES)
             for name in ("measurement", "drift", "fading", "fading_time", "limit", "start")
         ),
-        *(
-            (name, ctypes.c_double)
-            for name in ("gate", "walk", "calm", "rising", "falling", "variation", "drag_deviations", "offset")
-        ),
+        *((name, ctypes.c_double) for name in FILTER_SETTINGS),
         *((name, ctypes.c_double) for name in ("forecast", "averaging", "tolerance")),
         ("resolution", ctypes.c_double * 2),
         ("known_drag", ctypes.c_double),
@@ -267,6 +267,10 @@ class RtiSolver:
         """
         self._code.rti_fly(self._handle, moments)
 
+    def fly_disturbance(self, moments: float) -> None:
+        """The same of the disturbance alone, of any model."""
+        self._code.rti_fly_disturbance(self._handle, moments)
+
     def shift(self, seconds: float) -> None:
         """Move the predicted inputs by the time that passes between two ticks."""
         self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
@@ -325,6 +329,7 @@ class RtiSolver:
         code.rti_filter_options.argtypes = code.rti_filter_clear.argtypes = (pointer,)
         code.rti_filter_restart.argtypes = (pointer, pointer)
         code.rti_filter_compare.argtypes = (*[pointer] * 5, ctypes.c_double)
+        code.rti_fly_disturbance.argtypes = (pointer, ctypes.c_double)
         if hasattr(code, "rti_follow"):
             code.rti_follow.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_int, pointer)
         if hasattr(code, "rti_fly"):

@@ -78,6 +78,47 @@ def test_the_filter_is_the_textbook_s(arpl_250g: Vehicle) -> None:
     np.testing.assert_allclose(filtered.disturbance_deviations, np.sqrt(np.diag(both @ P @ both.T)), rtol=1e-5)
 
 
+def pushed_filter(vehicle: Vehicle, push: Sequence[float], seconds: float) -> tuple[RtiSolver, FlightFilter]:
+    """A filter after hover under a constant push, m/s^2, whose estimates are exact; what it estimated is flown."""
+    solver, dt = solver_of(vehicle), 0.01
+    filtered = FlightFilter(solver, ON)
+    speed, before = np.full((1, 4), vehicle.hover_speed), HOVER.copy()
+    filtered.restart(before, 0.0)
+    for step in range(1, round(seconds / dt) + 1):
+        after = before.copy()
+        after[VELOCITY] += dt * np.array(push)
+        filtered.follow(before, speed, np.array([dt]), after, dt * step)
+        before = after
+    solver.fly(0.0)
+    return solver, filtered
+
+
+def test_a_disturbance_is_flown_as_far_as_it_is_no_noise(arpl_250g: Vehicle) -> None:
+    """The positive-part estimator of James and Stein; a disturbance within its noise is not flown at once."""
+    for push in ([0.3, -0.2, 0.1], [2.0, 1.0, 0.0]):
+        solver, filtered = pushed_filter(arpl_250g, push, 0.5)
+        estimate = filtered.staying[:3] + filtered.fading[:3]
+        variance = float(np.mean(filtered.disturbance_deviations[:3] ** 2))
+        share = max(0.0, 1.0 - variance / float(estimate @ estimate))
+        assert 0.1 < share < 1.0
+        flown = solver.disturbance[:3] + solver.disturbance[6:9]
+        np.testing.assert_allclose(flown, share * estimate, atol=0.06 * (1 - share) * np.abs(estimate).max())
+    solver, filtered = pushed_filter(arpl_250g, [0.02, 0.0, 0.0], 3.0)
+    assert np.linalg.norm(filtered.staying[:3] + filtered.fading[:3]) > 0.01
+    assert np.linalg.norm(solver.disturbance[:3] + solver.disturbance[6:9]) < 0.005
+
+
+def test_a_small_disturbance_that_persists_is_flown(arpl_250g: Vehicle) -> None:
+    """In steady state nothing is left, however small it is."""
+    solver, filtered = pushed_filter(arpl_250g, [0.02, -0.01, 0.01], 100.0)
+    estimate = filtered.staying[:3] + filtered.fading[:3]
+    np.testing.assert_allclose(estimate, [0.02, -0.01, 0.01], rtol=0.02)
+    np.testing.assert_allclose(solver.disturbance[:3] + solver.disturbance[6:9], estimate, rtol=0.02)
+    filtered.clear()
+    solver.fly(0.0)
+    assert not solver.disturbance[:12].any()
+
+
 def finely_integrated(solver: RtiSolver, speed: np.ndarray, seconds: float) -> np.ndarray:
     """The state after hover under the solver's disturbance, in steps of a tenth of a millisecond."""
     model, x, dt = solver.model, HOVER.copy(), 1e-4
