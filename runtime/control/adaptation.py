@@ -25,9 +25,8 @@ from runtime.control.moment_fit import MomentFit, with_moments
 from runtime.control.network_features import NetworkFeatures
 from runtime.control.rotor_loss import RotorLoss
 from runtime.control.rotor_watch import RotorWatch
-from runtime.control.rti.solver import AXES, FADING, STAYING, RtiSolver
+from runtime.control.rti.solver import AXES, RtiSolver
 from runtime.control.sag_fit import SagFit
-from runtime.control.thrust_history import ThrustHistory
 
 REFUSED = 0.5  # share of what is estimated, below which it counts as not flown
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
@@ -126,7 +125,7 @@ class Adaptation:
         self.filter = FlightFilter(solver, settings, parameters)
         self._moments, self._sag = MomentFit(solver, parameters), SagFit(parameters)
         self._solver, self._settings, self._learned = solver, settings, learned
-        self._thrust_constants, self._constants = thrust_constants, thrust_constants.tolist()
+        self._thrust_constants = thrust_constants
         self._highest_speed = solver.input_upper.copy()
         noise = settings.linear, settings.angular
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
@@ -138,7 +137,9 @@ class Adaptation:
         self._max_thrust = float(thrust_constants @ self._highest_speed**2) / weight  # thrust of all rotors, in weights
         self._available = self._max_thrust
         self._loss_effect = rotor_loss_effect(solver.model)
-        self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
+        if not learned:
+            solver.begin_thrust(hover, lag=settings.thrust_lag, period=period)
+        self._commands = 0
         self._last: tuple[float, Floats] | None = None
         self._sent: tuple[float, float] | None = None
         self.newest = -math.inf
@@ -232,8 +233,8 @@ class Adaptation:
     @property
     def excess(self) -> str:
         """What pushes the vehicle where it is beyond the limit of the estimate, or of the thrust; else empty."""
-        state = self._solver.filter_state.tolist()
-        x, y, z = (state[STAYING + axis] + state[FADING + axis] for axis in range(3))
+        staying, fading = self.filter.staying.tolist(), self.filter.fading.tolist()
+        x, y, z = staying[0] + fading[0], staying[1] + fading[1], staying[2] + fading[2]
         needed = math.hypot(x, y, GRAVITY - z) / GRAVITY
         limit = self._settings.linear.limit
         if needed < self._available and abs(x) < limit and abs(y) < limit and abs(z) < limit:
@@ -258,7 +259,9 @@ class Adaptation:
                 self.network.clear()
                 self._flown_change = np.zeros_like(self._flown_change)
             self._fly()
-        self._thrust.clear()
+        self._commands = 0
+        if not self._learned:
+            self._solver.clear_thrust()
         if self.rotors is not None:
             self.rotors.clear()
 
@@ -318,8 +321,8 @@ class Adaptation:
             self.filter.compare(before.state, change, trained, now.state, now.time)
             self._follow_network(before, now, trained)
         else:
-            self.filter.follow(before.state, *self._thrust.acted(before.time, now.time), now.state, now.time)
-        if self._thrust.count % DESCRIBE_EVERY == 0:
+            self.filter.follow_commands(before.state, before.time, now.state, now.time)
+        if self._commands % DESCRIBE_EVERY == 0:
             self.changed = self._describe_changes()
         self._fly()
 
@@ -364,9 +367,6 @@ class Adaptation:
         if last is None:
             return
         time, speed = last
-        speeds = speed.tolist()
-        if sent is not None and sent[0] == time:
-            thrust = sum(k * each * each for k, each in zip(self._constants, speeds, strict=True))
-            share = math.sqrt(sent[1] / thrust)
-            speeds = [share * each for each in speeds]
-        self._thrust.add(time, speeds)
+        self._commands += 1
+        if not self._learned:
+            self._solver.add_thrust(time, speed, sent[1] if sent is not None and sent[0] == time else math.nan)

@@ -90,6 +90,13 @@ class FlightFilter:
         else:
             self.restart(state, time)
 
+    def follow_commands(self, before: Floats, start: float, state: Floats, time: float) -> None:
+        """Take an estimate (nx,) after the one before, of a time, by the solver's history of commands."""
+        if self._begins(time):
+            self._count(self._solver.follow_commands(before, start, state, time), time)
+        else:
+            self.restart(state, time)
+
     def _begins(self, time: float) -> bool:
         return 0 < time - self._time <= MAX_INTERVAL
 

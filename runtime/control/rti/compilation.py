@@ -17,7 +17,7 @@ from runtime.control.rti.processor import Processor, native_processor
 from runtime.control.rti.state_header import STATE_HEADER, state_header
 
 ENTRY = "rti.c"
-OWN = (ENTRY, "parameter_fit.h")
+OWN = (ENTRY, "parameter_fit.h", "thrust_history.h")
 SHARED = ("condensed.h", "box_qp.h", "dense_qp.h", "flight_filter.h")  # with the kernel of a learned model
 
 

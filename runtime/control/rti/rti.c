@@ -30,6 +30,7 @@
 #pragma GCC pop_options
 
 #include "parameter_fit.h"
+#include "thrust_history.h"
 
 #define SLOPE_STEP 1e-3 /* of a prior's standard deviation, for derivatives by parameters */
 #define LANES_PER_VECTOR LANES_OF(double)
@@ -41,6 +42,7 @@ typedef struct {
     condensed ocp;
     double p[NP], e[NE];
     parameter_fit fit;
+    thrust_history thrust;
     double A[NODES][NX * NX], B[NODES][NX * NU]; /* by column, as CasADi writes them */
     double W[2][NX][LD_S] __attribute__((aligned(64)));
     long long iw[NODE_IW + STEP_IW + 1];
@@ -190,6 +192,32 @@ int rti_follow(rti *r, const double *before, const double *inputs, const double 
     memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
     memcpy(r->p, p, sizeof p);
     return used;
+}
+
+/* Begin a history of commands. hover: (NU) rad/s. left, mean: of the lag behind them, see thrust_history. */
+void rti_begin_thrust(rti *r, const double *hover, double left, double mean) {
+    memcpy(r->thrust.hover, hover, sizeof r->thrust.hover);
+    r->thrust.left = left, r->thrust.mean = mean;
+    history_clear(&r->thrust);
+}
+
+void rti_clear_thrust(rti *r) { history_clear(&r->thrust); }
+
+/* Take a command, speeds (NU) that act from a time on. thrust: of all rotors as it left, N, by which the speeds are
+ * scaled; NaN where it left as it was. */
+void rti_add_thrust(rti *r, double time, const double *speed, double thrust) {
+    double scaled[NU], commanded = 0, share = 1;
+    for (int j = 0; j < NU; j++) commanded += r->ocp.options.thrust_constant[j] * speed[j] * speed[j];
+    if (isfinite(thrust)) share = sqrt(thrust / commanded);
+    for (int j = 0; j < NU; j++) scaled[j] = share * speed[j];
+    history_add(&r->thrust, time, scaled);
+}
+
+/* rti_follow by the commands whose thrust acted between the times of both states, s. */
+int rti_follow_between(rti *r, const double *before, double start, double stop, const double *x) {
+    double inputs[PAST * NU], seconds[PAST];
+    const int segments = history_between(&r->thrust, start, stop, inputs, seconds);
+    return rti_follow(r, before, inputs, seconds, segments, x);
 }
 
 #define SPEED_STEP 1e-4 /* of a rotor's speed, for derivatives by speeds */

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -214,6 +215,37 @@ class RtiSolver:
         self._segments[:count], self._segment_seconds[:count] = speeds, seconds
         return bool(self._code.rti_follow(self._handle, self._state_at, *self._segments_at, count, self._next_at))
 
+    def begin_thrust(self, hover: NDArray[np.float64], *, lag: float, period: float) -> None:
+        """Begin a history of commands, not for a learned model. hover: (nu,) rad/s.
+
+        lag: s, of first order, of thrust behind them that the model does not predict. period: between commands, s.
+        """
+        left = math.exp(-period / lag) if lag > 0 else 0.0  # of the response after a period
+        self._input[:] = hover
+        self._code.rti_begin_thrust(self._handle, self._input_at, left, (1 - left) * lag / period)
+
+    def clear_thrust(self) -> None:
+        """Forget the commands; thrust is that of hover."""
+        self._code.rti_clear_thrust(self._handle)
+
+    def add_thrust(self, time: float, speed: NDArray[np.float64], thrust: float) -> None:
+        """Let thrust follow a command, rotor speeds (nu,) rad/s that act from a time on, s.
+
+        thrust: of all rotors as it left, N, by which the speeds are scaled; NaN where it left as it was.
+        """
+        self._input[:] = speed
+        self._code.rti_add_thrust(self._handle, time, self._input_at, thrust)
+
+    def follow_commands(
+        self, before: NDArray[np.float64], start: float, state: NDArray[np.float64], stop: float
+    ) -> bool:
+        """Take a state (nx,) into the flight filter, after the commands that acted since the one before; times in s.
+
+        Not for a learned model. Returns whether it was used.
+        """
+        self._state[:], self._next[:] = before, state
+        return bool(self._code.rti_follow_between(self._handle, self._state_at, start, stop, self._next_at))
+
     def rotor_shares(
         self,
         before: NDArray[np.float64],
@@ -341,6 +373,10 @@ class RtiSolver:
             code.rti_specific_drag.argtypes = (*[pointer] * 3, ctypes.c_double)
             code.rti_specific_drag.restype = ctypes.c_double
             code.rti_fly.argtypes = (pointer, ctypes.c_double)
+            code.rti_begin_thrust.argtypes = (pointer, pointer, ctypes.c_double, ctypes.c_double)
+            code.rti_clear_thrust.argtypes = (pointer,)
+            code.rti_add_thrust.argtypes = (pointer, ctypes.c_double, pointer, ctypes.c_double)
+            code.rti_follow_between.argtypes = (pointer, pointer, ctypes.c_double, ctypes.c_double, pointer)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)

@@ -1,6 +1,7 @@
 """In flight the model follows: the C filter is the textbook's, disturbance and parameters are true, errors bounded."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -376,3 +377,47 @@ def test_bounds_and_priors_are_the_effects_own(arpl_250g: Vehicle) -> None:
     assert (parameter.lower, parameter.upper) == (declared.lower, declared.upper)
     assert parameter.std == declared.prior(arpl_250g).std
     assert parameter.value == 0.0
+
+
+def acted(commands: Sequence[tuple[float, np.ndarray]], lag: float, hover: np.ndarray, time: float) -> np.ndarray:
+    """Rotor speeds behind the commands' lag of first order at a time, each command in the mean of its 10 ms."""
+    response, speed = hover.copy(), hover.copy()
+    for at, command in commands:
+        if at > time:
+            break
+        left = np.exp(-0.01 / lag) if lag else 0.0
+        speed = command + (1 - left) * lag / 0.01 * (response - command)
+        response = command + left * (response - command)
+    return speed
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.025])
+def test_a_forecast_is_by_the_commands_that_acted(arpl_250g: Vehicle, lag: float) -> None:
+    """Also where one left with less thrust, where the ring of commands has turned, and across a part of a period."""
+    first, second = solver_of(arpl_250g), solver_of(arpl_250g)
+    random, hover = np.random.default_rng(3), np.full(4, arpl_250g.hover_speed)
+    by_commands, by_segments = FlightFilter(first, ON), FlightFilter(second, ON)
+    commands = [(0.01 * k, hover * random.uniform(0.9, 1.1, 4)) for k in range(150)]
+    constants, shares = first.model.thrust_constants, {3: 0.8, 148: 0.7}
+    first.begin_thrust(hover, lag=lag, period=0.01)
+    scaled = []
+    for tick, (time, speed) in enumerate(commands):
+        share = shares.get(tick)
+        thrust = np.nan if share is None else share * float(constants @ speed**2)
+        first.add_thrust(time, speed, thrust)
+        scaled.append((time, speed if share is None else np.sqrt(share) * speed))
+    before, after = HOVER.copy(), HOVER + np.r_[np.zeros(3), 0.1, 0.0, 0.05, np.zeros(7)]
+    for filtered in (by_commands, by_segments):
+        filtered.restart(before, 1.464)
+    edges = np.array([1.464, 1.47, 1.48, 1.485])
+    speeds = [acted(scaled, lag, hover, (a + b) / 2) for a, b in pairwise(edges)]
+    by_segments.follow(before, speeds, np.diff(edges), after, 1.485)
+    by_commands.follow_commands(before, 1.464, after, 1.485)
+    np.testing.assert_allclose(first.filter_state, second.filter_state, rtol=1e-9, atol=1e-12)
+    first.clear_thrust()
+    for solver, filtered in ((first, by_commands), (second, by_segments)):
+        solver.clear_filter()
+        filtered.restart(before, 2.0)
+    by_commands.follow_commands(before, 2.0, after, 2.02)
+    by_segments.follow(before, [hover], [0.02], after, 2.02)
+    np.testing.assert_allclose(first.filter_state, second.filter_state, rtol=1e-9, atol=1e-12)
