@@ -76,7 +76,7 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
     """Ratios of errors by manoeuvre, then by vehicle and estimator."""
     usual = {r["number"]: r for r in results if r["mode"] == "off"}
     flown_twice = [r for r in results if r["mode"] == "on" and r["number"] in usual]
-    pairs = [r for r in flown_twice if np.isfinite([r["rmse"], usual[r["number"]]["rmse"]]).all()]
+    pairs = [r for r in flown_twice if not usual[r["number"]]["aborted"] and np.isfinite(r["rmse"])]
     body = [
         f"{len(pairs)} pairs of flights of {SECONDS:g} s with nothing hidden, seeds from {first} on: error of the "
         "model that follows over that of the vehicle file's, the same seed and manoeuvre. On PX4's estimate, in whole "
@@ -92,10 +92,12 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
         some = [r for r in pairs if (r["vehicle"], r["estimator"]) == (vehicle, estimator)]
         body.append(_row(f"{vehicle}, {estimator}", some, usual))
     body.append(_row("all", pairs, usual))
-    ended = [sum(bool(r["aborted"]) for r in results if r["mode"] == mode) for mode in MODES]
-    early = f"Flights that ended early: {ended[0]} off, {ended[1]} on; "
-    left = len(flown_twice) - len(pairs)
-    return "\n".join([*body, "", f"{early}pairs left out since one of them never tracked: {left}."])
+    ended = [r for r in results if r["aborted"]]
+    alone = [r for r in ended if r["mode"] == "on" and not usual[r["number"]]["aborted"]]
+    early = sorted({f"{r['reference']} on {r['vehicle']}, {r['estimator']}: {r['aborted']}" for r in ended})
+    left = f"Pairs left out, as the flight with the file's model ended early itself: {len(flown_twice) - len(pairs)}"
+    only = f"ended early with the model that follows alone: {len(alone)}"
+    return "\n".join([*body, "", f"{left}; {only}. What ended flights early: {'; '.join(early) or 'nothing'}."])
 
 
 def _row(name: str, some: Sequence[Mapping[str, Any]], usual: Mapping[int, Mapping[str, Any]]) -> str:
