@@ -37,7 +37,7 @@ from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 
 LATENCY = 0.005  # s from an estimate to the setpoint that follows from it, as over a link
-CLIMB_TIME, CLIMB_PATIENCE = 2.0, 30.0  # s
+CLIMB_TIME, CLIMB_PATIENCE = 2.0, 120.0  # s; in gusts an autopilot arrives by chance
 ARRIVED = 0.15  # m and m/s
 TAKE_OVER_PATIENCE = 20.0  # s
 FOLLOWED_EVERY = 10  # ticks
