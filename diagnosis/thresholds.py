@@ -135,6 +135,8 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
         counts lift of travelling as thrust. [margins: neither]
     flight_gain_std: of a flight's own gain about it; the battery changes it. [margins: neither]
     motor_std: of a motor's gain about the first estimate. [margins: neither]
+    flight_motor_std: of a motor's gain in a flight about what all flights share. [benchmarks/px4_blind.py: 0.03 to 0.1
+        give the same damping]
     bend_std: of the curve's bend at hover. [margins: neither]
     min_gain_change: of the gain from 1, from which on a wrong mass or thrust constant may be behind it.
         [benchmarks/verdicts.py: 1.2 % at most in four sets that hide nothing]
@@ -155,6 +157,7 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     gain_std: Positive = 0.05
     flight_gain_std: Positive = 0.03
     motor_std: Positive = 0.03
+    flight_motor_std: Positive = 0.03
     bend_std: Positive = 0.05
     min_gain_change: Share = 0.03
     gain_deviations: Positive = 3.0

@@ -3,8 +3,9 @@
 A thrust command in newtons is not thrust (0.63 to 1.7 times of it in one set of real flights), a signal of 0 to 1 has
 a curve that vehicle files describe badly, both change with the battery from flight to flight, and motors differ by a
 tenth. The curve is therefore fitted to these flights before anything else: for each flight the gain that carries the
-weight and the motors' gains that keep the vehicle level in the mean; for all flights the curve's constant, linear and
-quadratic term, with the rotors' lag as one more unknown. The lag is not applied: it is the effect `motor_lag`.
+weight and the motors' gains that keep the vehicle level in the mean; for all flights the motors' yaw moment and the
+curve's constant, linear and quadratic term, with the rotors' lag as one more unknown. The lag is not applied: it is the
+effect `motor_lag`.
 """
 
 from __future__ import annotations
@@ -187,7 +188,10 @@ class NominalWrench:
 def _gains(
     flights: Sequence[Sequence[Segment]], nominal: NominalWrench, thresholds: CommandCurveThresholds
 ) -> list[FlightGain]:
-    """The gains of each flight: beside one drag of all of them, the thrust carries the weight."""
+    """The gains of each flight: beside one drag of all of them, the thrust carries the weight.
+
+    A flight may turn steadily about z, where a damping that the file lacks brakes it: all flights have one yaw moment.
+    """
     means = _means(flights, nominal, thresholds)
     low, high = thresholds.gain
     for segments, mean in zip(flights, means, strict=True):
@@ -197,9 +201,12 @@ def _gains(
                 f"their commands; wanted {low:g} to {high:g}. Check mass, thrust_constant, speed_max and thrust_curve "
                 "of the file, and that it is this vehicle's."
             )
+    missing = [_missing(segments, mean, nominal) for segments, mean in zip(flights, means, strict=True)]
+    lengths = [sum(len(s) for s in segments) for segments in flights]
+    yaw = np.average([moment[2] / thrust.sum() for thrust, moment in missing], weights=lengths)
     return [
-        FlightGain(mean, _motors(segments, mean, nominal, thresholds))
-        for segments, mean in zip(flights, means, strict=True)
+        FlightGain(mean, _motors(thrust, np.append(moment[:2], yaw * thrust.sum()), nominal, thresholds))
+        for mean, (thrust, moment) in zip(means, missing, strict=True)
     ]
 
 
@@ -223,14 +230,17 @@ def _means(
     return [float(gain) for gain in np.linalg.lstsq(x, y, rcond=None)[0][:-1]]
 
 
-def _motors(
-    segments: Sequence[Segment], mean: float, nominal: NominalWrench, thresholds: CommandCurveThresholds
-) -> tuple[float, ...]:
-    """Each rotor's gain over the mean, with which the mean moment is that of the mean motion."""
-    squares = np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
+def _missing(segments: Sequence[Segment], mean: float, nominal: NominalWrench) -> tuple[Floats, Floats]:
+    """(rotors,) mean of mean gain times squared speeds, and (3,) mean moment of the motion that these do not make."""
+    thrust = mean * np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
     moments = np.concatenate([nominal.missing_moment(s) for s in segments])
-    thrust = mean * squares
-    missing = np.mean(moments, axis=0) - nominal.allocation[1:] @ thrust
+    return thrust, np.mean(moments, axis=0) - nominal.allocation[1:] @ thrust
+
+
+def _motors(
+    thrust: Floats, missing: Floats, nominal: NominalWrench, thresholds: CommandCurveThresholds
+) -> tuple[float, ...]:
+    """Each rotor's gain over the mean, with which a mean moment is that of the mean motion."""
     change = np.linalg.pinv(nominal.allocation * thrust) @ np.concatenate([[0.0], missing])
     plausible = np.max(np.abs(change)) <= thresholds.max_motor_difference
     return tuple((1.0 + change if plausible else np.ones(len(change))).tolist())

@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
-from diagnosis.models.command_effects import GAIN, GAIN_RATIO
+from diagnosis.models.command_effects import own_gains
 from diagnosis.models.prediction import Prediction
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor, sensor_floor
@@ -36,17 +36,17 @@ def residuals(
     if noise is not None and errors is None:
         errors = SensorErrors(vehicle, catalogue, segments, thresholds)
     measured = segments[0].rotor_source == "measured"
-    free = [GAIN_RATIO] if any(use.name == GAIN.name for use in vehicle.effects) else []
+    own = own_gains(vehicle, thresholds.command_curve)
     predictor = Predictor(
-        vehicle, vehicle.effects, catalogue, free, speed_measured=measured, thresholds=thresholds.prediction
+        vehicle, vehicle.effects, catalogue, list(own), speed_measured=measured, thresholds=thresholds.prediction
     )
     results = []
     for segment in segments:
         prediction = predictor.predict(segment)
         rows = channels.residual(segment, prediction)
         if noise is not None and errors is not None:
-            gain = predictor.slopes(segment)[0] if predictor.free else None
-            rows = _without_biases(segment, errors, gain, rows, noise, thresholds)
+            gains = predictor.slopes(segment) if own else []
+            rows = _without_biases(segment, errors, gains, list(own.values()), rows, noise, thresholds)
         results.append(rows)
     return results
 
@@ -54,19 +54,20 @@ def residuals(
 def _without_biases(
     segment: Segment,
     errors: SensorErrors,
-    gain: Prediction | None,
+    gains: Sequence[Prediction],
+    deviations: Sequence[float],
     rows: Floats,
     noise: NoiseModel,
     thresholds: Thresholds,
 ) -> Floats:
-    """Rows less the errors of healthy sensors and, of commands, the flight's own gain, as far as specification allows.
+    """Rows less the errors of healthy sensors and, of commands, the flight's own gains, as far as specification allows.
 
-    gain: slope of the prediction in the gain of commands, of which every flight has its own.
+    gains: slopes of the prediction in the gains of commands of which every flight has its own. deviations: of these.
     """
     columns, deviation = errors.columns(segment), errors.deviation
-    if gain is not None:
-        columns = np.concatenate([columns, channels.predicted(segment, [gain])], axis=2)
-        deviation = np.append(deviation, thresholds.command_curve.flight_gain_std)
+    if gains:
+        columns = np.concatenate([columns, channels.predicted(segment, gains)], axis=2)
+        deviation = np.append(deviation, deviations)
     if not len(deviation):
         return rows
     white = noise.whiten(columns).reshape(-1, columns.shape[2])

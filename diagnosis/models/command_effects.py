@@ -95,9 +95,6 @@ def _carried(reference: float) -> Effect:
     return replace(MASS, physics=physics)
 
 
-GAIN_RATIO = f"{GAIN.name}.ratio"
-
-
 def with_command_effects(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[Vehicle, Mapping[str, Effect]]:
@@ -118,6 +115,17 @@ def without_command_effects(vehicle: Vehicle) -> Vehicle:
     """The vehicle as its file may hold it."""
     uses = tuple(use for use in vehicle.effects if use.name not in COMMAND_EFFECTS)
     return vehicle if len(uses) == len(vehicle.effects) else msgspec.structs.replace(vehicle, effects=uses)
+
+
+def flight_deviations(thresholds: CommandCurveThresholds) -> Mapping[str, float]:
+    """Standard deviations of what each flight has of its own, about what all flights share, by effect."""
+    return {GAIN.name: thresholds.flight_gain_std, MOTOR.name: thresholds.flight_motor_std}
+
+
+def own_gains(vehicle: Vehicle, thresholds: CommandCurveThresholds) -> dict[str, float]:
+    """Of a vehicle with such effects the parameters of which each flight has a deviation, and the latter's spread."""
+    own = flight_deviations(thresholds)
+    return {f"{use.label}.ratio": own[use.name] for use in vehicle.effects if use.name in own}
 
 
 def prior_deviation(effect: Effect, thresholds: CommandCurveThresholds) -> float:

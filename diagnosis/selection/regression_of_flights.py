@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
-from diagnosis.models.command_effects import COMMAND_EFFECTS, GAIN, prior_deviation, with_command_effects
+from diagnosis.models.command_effects import (
+    COMMAND_EFFECTS,
+    flight_deviations,
+    prior_deviation,
+    with_command_effects,
+)
 from diagnosis.models.pose_errors import PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
@@ -201,11 +206,12 @@ def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Seque
 def flight_biases(
     candidates: Sequence[Candidate], nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds
 ) -> Biases:
-    """Each flight's own sensor errors and its own deviation from the gain of commands that all flights share."""
-    sensors = sensor_biases(candidates)
-    gains = [column for c in nuisances if c.effect is GAIN for column in c.columns]
-    information = np.full(len(gains), thresholds.flight_gain_std**-2)
-    return Biases((*sensors.columns, *gains), np.concatenate([sensors.information, information]))
+    """Each flight's own sensor errors, and its own deviations from the gains that all flights' commands share."""
+    sensors, own = sensor_biases(candidates), flight_deviations(thresholds)
+    gains = [(column, own[c.effect.name]) for c in nuisances if c.effect.name in own for column in c.columns]
+    information = np.array([deviation**-2 for _, deviation in gains])
+    columns = (*sensors.columns, *(column for column, _ in gains))
+    return Biases(columns, np.concatenate([sensors.information, information]))
 
 
 def shared_unknowns(nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds) -> Biases:

@@ -89,6 +89,17 @@ def test_a_held_out_flight_gets_its_own_gain(commanded: list[Segment], arpl_250g
     assert set(curve.gains) == {f"flight_{i}" for i in range(6)}
 
 
+def test_a_steady_turn_is_no_difference_between_the_motors_of_a_flight(
+    commanded: list[Segment], arpl_250g: Vehicle
+) -> None:
+    """A damping brakes it, which these flights do not have and the file has."""
+    damped = arpl_250g.with_effects(EffectUse("rotational_damping", {"coefficient": 1e-3}))
+    turn = np.array([0.0, 0.0, 1.0])  # rad/s
+    turning = [replace(s, gyro=s.body_rate + turn * (s.flight == "flight_0")) for s in commanded]
+    gains = fit_command_curve(turning, (), damped).gains.values()
+    assert np.ptp([np.dot(np.sign(arpl_250g.rotors.allocation[3]), gain.motors) for gain in gains]) < 0.01
+
+
 def test_a_gain_that_no_command_has_is_the_vehicle_files_mistake(
     plain_flights: list[Flight], arpl_250g: Vehicle
 ) -> None:

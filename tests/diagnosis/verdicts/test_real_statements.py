@@ -12,10 +12,6 @@ from fixtures.real_flights import SETS, Answer, RealSet, Statement, diagnose
 PENDING = {
     (
         "Crazyflie, Lee controller",
-        "names motor_lag with time_constant = 0.07 within 60 %",
-    ): "moments have another factor than the thrust: it is 0.016, beside a delay of the pose by 7 ms",
-    (
-        "Crazyflie, Lee controller",
         "names a drag of 0.26 to 0.36 1/s",
     ): "with gain and bend of the commands fitted beside the effects, the bend takes what lag and drag explain",
 }
