@@ -11,14 +11,7 @@ import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import (
-    Accepted,
-    accepted_fit,
-    drifting_effects,
-    effects_of_late_signal,
-    overshadowed_effects,
-    without,
-)
+from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
@@ -31,6 +24,13 @@ from diagnosis.estimation.evaluation import (
 from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.estimation.refusal import Refused, delay_in_words
+from diagnosis.estimation.revision import (
+    drifting_effects,
+    effects_of_late_signal,
+    overshadowed_effects,
+    with_small,
+    without,
+)
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
@@ -116,6 +116,9 @@ def diagnose_dataset(
     while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
         accepted = without(regression, accepted, standing_in, dataset)
         judged = judgement.of(accepted)
+    if judged.rejected and (more := with_small(regression, accepted, selection.chosen.candidates, dataset)):
+        with_more = judgement.of(more)
+        accepted, judged = (accepted, judged) if with_more.rejected else (more, with_more)
     selection = judged.selection
     effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)

@@ -9,19 +9,17 @@ that remain hold.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.consistency import drifts
 from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
-from diagnosis.estimation.late_signals import late_signal
 from diagnosis.estimation.paired_errors import ErrorChange, total_change
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
@@ -29,7 +27,6 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
 from diagnosis.selection.search import Search, Selection
-from diagnosis.thresholds import ConsistencyThresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
@@ -91,48 +88,6 @@ def _with_rivals_of_refused(
     return accepted
 
 
-def drifting_effects(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:
-    """Effects of a fit that have no one value: their form stands in for another one. rows: (m, 12) its residuals."""
-    limits, by_key = regression.thresholds.consistency, drifts(regression, fitted, rows)
-    return tuple(
-        refused_of(fitted, candidate, "drifts", share=drift.share, deviations=drift.deviations)
-        for candidate in fitted.candidates
-        if (drift := by_key[candidate.key]).matters(limits)
-    )
-
-
-def overshadowed_effects(accepted: Accepted, limits: ConsistencyThresholds) -> tuple[Refused, ...]:
-    """Effects that explain next to nothing of what is still missing: some form explains a little of anything.
-
-    In the kind of channel whose error falls most, over all its axes and on the axis that falls most.
-    """
-    refused = []
-    for candidate in accepted.fit.candidates:
-        kind, change = max(accepted.relevance[candidate.key].items(), key=lambda item: item[1].fall)
-        if change.share_of_left < limits.min_share_of_left and change.share_of_axis < limits.min_share_of_axis:
-            refused.append(refused_of(accepted.fit, candidate, "overshadowed", kind, share=change.share_of_left))
-    return tuple(refused)
-
-
-def effects_of_late_signal(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:
-    """Effects of a fit that a signal which was logged late explains as well. rows: (m, 12) its residuals."""
-    late = late_signal(regression, fitted, rows)
-    if late is None:
-        return ()
-    return tuple(
-        refused_of(fitted, c, "late_signal", late.signal, delay=late.delay, gain=late.gain, of_effects=late.of_effects)
-        for c in fitted.candidates
-        if c.key in late.keys
-    )
-
-
-def without(regression: Regression, accepted: Accepted, refused: Sequence[Refused], dataset: Dataset) -> Accepted:
-    """The same without effects that are refused afterwards, all others judged again."""
-    left_out = {(one.name, one.rotor) for one in refused}
-    rest = [c for c in accepted.fit.candidates if c.identity not in left_out]
-    return judged_fit(regression, rest, dataset, regression.vehicle, refused=(*accepted.refused, *refused))
-
-
 def judged_fit(
     regression: Regression,
     candidates: Sequence[Candidate],
@@ -141,13 +96,15 @@ def judged_fit(
     *,
     refused: Sequence[Refused] = (),
     resampled: bool = True,
+    small: Collection[str] = (),
 ) -> Accepted:
     """The same of certain effects, whatever their rivals.
 
-    refused: effects that have been refused before. resampled: whether most flight resamples must agree.
+    refused: effects that have been refused before. resampled: whether most flight resamples must agree. small: keys of
+    those that may be too small on what is held out if they matter on the fitted flights.
     """
     lacking = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
-    trial = _Trial(regression, dataset, lacking, resampled=resampled)
+    trial = _Trial(regression, dataset, lacking, resampled=resampled, small=small)
     own = _own_effects(regression, candidates, refused)
     return trial.reduced([*candidates, *own], {c.key for c in candidates}, refused)
 
@@ -260,7 +217,16 @@ def _decided_rivals(
 class _Trial:
     """The trial of effects that a vehicle lacks, on held-out flights."""
 
-    def __init__(self, regression: Regression, dataset: Dataset, vehicle: Vehicle, *, resampled: bool) -> None:
+    def __init__(
+        self,
+        regression: Regression,
+        dataset: Dataset,
+        vehicle: Vehicle,
+        *,
+        resampled: bool,
+        small: Collection[str],
+    ) -> None:
+        self._small = small
         self._regression, self._fitted, self._vehicle = regression, dataset.fitted, vehicle
         self._limits, self._search = regression.thresholds.relevance, Search(regression)
         self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
@@ -308,6 +274,19 @@ class _Trial:
             values, fewer = best.values, self._lacking(best, candidate)
         if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
             judge, floor = self._others, regression.noise.floor
+        return self._changes(judge, floor, best, candidate, fewer, values)
+
+    def _changes(
+        self,
+        judge: HeldOut,
+        floor: Floats,
+        best: Fit,
+        candidate: Candidate,
+        fewer: Vehicle,
+        values: Mapping[tuple[str, str], float],
+    ) -> dict[str, ErrorChange]:
+        """The same on certain flights. fewer: the vehicle without it, to first order; values: of the others then."""
+        thresholds = self._regression.thresholds.acceptance
         by_kind = judge.channel_changes(fewer, best.vehicle, floor)
         if self._limits.min_rise <= _strength(by_kind) < thresholds.max_linear_rise:
             again = self._fit([c for c in best.candidates if c is not candidate], values)
@@ -331,7 +310,7 @@ class _Trial:
         if (bound := at_its_bounds(best, candidate, self._vehicle)) is not None:
             return refused("at_bound", bound)
         strongest = max(kinds, key=lambda kind: by_kind[kind].fall)
-        if not by_kind[strongest].fall >= limits.min_rise:
+        if not by_kind[strongest].fall >= limits.min_rise and not self._matters_where_fitted(best, candidate):
             change = by_kind[strongest]
             numbers = {"before": change.before, "after": change.after, "floor": change.floor}
             replaced = _strength(self._alone(best, candidate)) >= limits.min_rise
@@ -353,6 +332,14 @@ class _Trial:
         if self._resampled and share < limits.min_agreement:
             return refused("few_resamples", share=share, required=limits.min_agreement)
         return None
+
+    def _matters_where_fitted(self, best: Fit, candidate: Candidate) -> bool:
+        """Whether an effect that may be too small on what is held out matters on the fitted flights."""
+        if candidate.key not in self._small:
+            return False
+        values, fewer = left_out(best, candidate, self._vehicle)
+        by_kind = self._changes(self._others, self._regression.noise.floor, best, candidate, fewer, values)
+        return _strength(by_kind) >= self._limits.min_rise
 
     def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
         """Held-out errors without an effect and with it, by kind of channel, the others staying as they are."""

@@ -22,6 +22,7 @@ Reason = Literal[
     "predictable",
     "late_signal",
 ]
+TOO_SMALL: tuple[Reason, ...] = ("too_small", "redundant")  # what is held out hardly shows it
 HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed", "late_signal")
 
 

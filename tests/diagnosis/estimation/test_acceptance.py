@@ -8,10 +8,11 @@ import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation import acceptance
-from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds, overshadowed_effects
+from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, total_change
+from diagnosis.estimation.revision import overshadowed_effects
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
