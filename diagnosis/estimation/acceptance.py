@@ -274,9 +274,9 @@ class _Trial:
             values, fewer = best.values, self._lacking(best, candidate)
         if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
             judge, floor = self._others, regression.noise.floor
-        return self._changes(judge, floor, best, candidate, fewer, values)
+        return self._judged_by(judge, floor, best, candidate, fewer, values)
 
-    def _changes(
+    def _judged_by(
         self,
         judge: HeldOut,
         floor: Floats,
@@ -338,7 +338,7 @@ class _Trial:
         if candidate.key not in self._small:
             return False
         values, fewer = left_out(best, candidate, self._vehicle)
-        by_kind = self._changes(self._others, self._regression.noise.floor, best, candidate, fewer, values)
+        by_kind = self._judged_by(self._others, self._regression.noise.floor, best, candidate, fewer, values)
         return _strength(by_kind) >= self._limits.min_rise
 
     def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
