@@ -76,7 +76,8 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
     """Ratios of errors by manoeuvre, then by vehicle and estimator."""
     usual = {r["number"]: r for r in results if r["mode"] == "off"}
     flown_twice = [r for r in results if r["mode"] == "on" and r["number"] in usual]
-    pairs = [r for r in flown_twice if not usual[r["number"]]["aborted"] and np.isfinite(r["rmse"])]
+    finite = [r for r in flown_twice if np.isfinite([r["rmse"], usual[r["number"]]["rmse"]]).all()]
+    pairs = [r for r in finite if not usual[r["number"]]["aborted"]]
     body = [
         f"{len(pairs)} pairs of flights of {SECONDS:g} s with nothing hidden, seeds from {first} on: error of the "
         "model that follows over that of the vehicle file's, the same seed and manoeuvre. On PX4's estimate, in whole "
@@ -95,7 +96,10 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
     ended = [r for r in results if r["aborted"]]
     alone = [r for r in ended if r["mode"] == "on" and not usual[r["number"]]["aborted"]]
     early = sorted({f"{r['reference']} on {r['vehicle']}, {r['estimator']}: {r['aborted']}" for r in ended})
-    left = f"Pairs left out, as the flight with the file's model ended early itself: {len(flown_twice) - len(pairs)}"
+    left = (
+        f"Pairs left out, as the flight with the file's model ended early itself: {len(finite) - len(pairs)}, or as one "
+        f"of both never tracked: {len(flown_twice) - len(finite)}"
+    )
     only = f"ended early with the model that follows alone: {len(alone)}"
     return "\n".join([*body, "", f"{left}; {only}. What ended flights early: {'; '.join(early) or 'nothing'}."])
 

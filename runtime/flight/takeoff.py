@@ -23,7 +23,9 @@ class RampSettings:
     spool: initial thrust per weight.
     max_thrust: per weight.
     patience: s at the maximum thrust without lift-off.
-    height: m above the ground; lift-off requires more than it and than the climb rate.
+    height: m above the lowest estimate of the ramp, since one that sinks at rest hides a lift-off; it requires more
+        than that and than the climb rate.
+    smoothing: s, of that estimate: noise is no sinking.
     climb_rate: m/s.
     force: specific force along body z over gravity, mean over force_time, s, which lift-off requires more than where it
         is measured: an estimate that drifts upward at rest is no lift-off.
@@ -34,6 +36,7 @@ class RampSettings:
     max_thrust: float = 1.6
     patience: float = 1.0
     height: float = 0.04
+    smoothing: float = 0.2
     climb_rate: float = 0.15
     force: float = 1.07
     force_time: float = 0.3
@@ -53,7 +56,8 @@ class TakeoffRamp:
         self._weight = weight
         self._max_thrust = min(self._settings.max_thrust * weight, 0.95 * thrust_max)
         self._started: float | None = None
-        self._ground = 0.0
+        self._last = 0.0
+        self._ground = self._smooth = 0.0
         self._rising = 0
         self._forces: deque[tuple[float, float]] = deque()
         self._lift_height = 0.0
@@ -73,9 +77,12 @@ class TakeoffRamp:
         while self._forces and self._forces[0][0] < time - settings.force_time:
             self._forces.popleft()
         if self._started is None:
-            self._started, self._ground = time, height
+            self._started = self._last = time
+            self._ground = self._smooth = height
         if self.lifted:
             return self.collective_thrust
+        self._smooth += min((time - self._last) / settings.smoothing, 1.0) * (height - self._smooth)
+        self._ground, self._last = min(self._ground, self._smooth), time
         elapsed = time - self._started
         ramp = (settings.spool + (1 - settings.spool) * elapsed / settings.rise) * self._weight
         self.collective_thrust = min(ramp, self._max_thrust)
