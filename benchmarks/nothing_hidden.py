@@ -97,8 +97,8 @@ def table(results: Sequence[Mapping[str, Any]], first: int = FIRST_SEED) -> str:
     alone = [r for r in ended if r["mode"] == "on" and not usual[r["number"]]["aborted"]]
     early = sorted({f"{r['reference']} on {r['vehicle']}, {r['estimator']}: {r['aborted']}" for r in ended})
     left = (
-        f"Pairs left out, as the flight with the file's model ended early itself: {len(finite) - len(pairs)}, or as one "
-        f"of both never tracked: {len(flown_twice) - len(finite)}"
+        f"Pairs left out, as the flight with the file's model ended early itself: {len(finite) - len(pairs)}, "
+        f"or as one of both never tracked: {len(flown_twice) - len(finite)}"
     )
     only = f"ended early with the model that follows alone: {len(alone)}"
     return "\n".join([*body, "", f"{left}; {only}. What ended flights early: {'; '.join(early) or 'nothing'}."])

@@ -43,7 +43,7 @@ def test_vehicles_lighter_or_heavier_than_modelled_lift_off_gently(effectiveness
 
 
 def test_an_estimate_that_sinks_at_rest_does_not_hide_the_lift_off() -> None:
-    """By 0.3 m while thrust rises, as PX4's at times: what is on the ground then is the lowest height, not the first."""
+    """By 0.3 m while thrust rises, as PX4's at times: the ground is at the lowest height, not the first."""
     ramp, height, climb = lift_off(1.0, drift=-0.2, inertial=True)
     assert ramp.lifted
     assert height < 0.3
