@@ -14,6 +14,7 @@ from diagnosis.models import channels
 from diagnosis.models.command_effects import seen_as
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.gust import Gust, signal_of
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import alone, near_rivals, rivals_of
@@ -30,10 +31,12 @@ def gust_refusal(
     """Why a gust that was detected is not named, None where it is named or none was detected.
 
     Air in motion is no function of the vehicle's state nor of its position: what a function of these predicts on
-    flights left out is no gust.
+    flights left out is no gust. Nor is one named that would not raise the error of any axis by what matters.
     """
     if not selection.gust_detected or selection.gust.effect is None:
         return None
+    if (small := _small_gust(regression, selection.gust)) is not None:
+        return small
     gained = max(selection.gust.gain / max(regression.total, 1), 1e-12)
     shares = {
         where: tests.statistics[test] / gained
@@ -46,6 +49,20 @@ def gust_refusal(
     strength = {selection.gust.effect.parameters[0].name: selection.gust.intensity}
     detail = {"share": shares[where], "required": thresholds.max_gust_predictable}
     return Refused(selection.gust.effect.name, None, "predictable", detail, where, strength)
+
+
+def _small_gust(regression: Regression, gust: Gust) -> Refused | None:
+    """The refusal of a gust whose air moves no channel by what matters, as an estimate errs; None otherwise."""
+    signal, floor = signal_of(gust, regression), regression.noise.floor
+    if signal is None or gust.effect is None:
+        return None
+    active = list(regression.noise.active)
+    axis = max(active, key=lambda i: signal[i] / floor[i])
+    if np.hypot(signal[axis], floor[axis]) >= (1 + regression.thresholds.relevance.min_rise) * floor[axis]:
+        return None
+    detail = {"signal": float(signal[axis]), "floor": float(floor[axis])}
+    strength = {gust.effect.parameters[0].name: gust.intensity}
+    return Refused(gust.effect.name, None, "too_small", detail, channels.KINDS[axis // channels.AXES], strength)
 
 
 def missing_effects(

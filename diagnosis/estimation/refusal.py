@@ -53,6 +53,11 @@ def reason_of(refused: Refused) -> str:
     """Why an effect was refused, in words and numbers, after its name and a colon."""
     number = {name: f"{value:.4g}" for name, value in refused.detail.items()}
     match refused.reason:
+        case "too_small" if "signal" in number:
+            text = (
+                f"it is too small to matter: it moves {refused.where} by {number['signal']} RMS, whose noise floor is "
+                f"{number['floor']}"
+            )
         case "too_small":
             text = (
                 f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "

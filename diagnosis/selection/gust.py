@@ -66,6 +66,15 @@ def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool
     return Gust(gain, gain - penalty, intensity, std, share, corner, effect)
 
 
+def signal_of(gust: Gust, regression: Regression) -> Floats | None:
+    """(12,) RMS of what air of its intensity makes in the rows of each channel; None where no wind is regressed."""
+    wind = next((c.columns for c in regression.candidates if c.effect.wind is not None), None)
+    if wind is None:
+        return None
+    slopes = np.concatenate([x[:, :, list(wind)[:2]] for x in regression.columns])  # by world x and y, 1/s
+    return np.asarray(gust.intensity * np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0)))
+
+
 def _over_still_air(profile: GustProfile) -> Floats:
     """(v,) twice the log-likelihood that the gusts of a profile gain over its first variance, still air."""
     total = profile.total()

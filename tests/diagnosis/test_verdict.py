@@ -12,7 +12,7 @@ from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
-from diagnosis.estimation.refusal import Reason, Refused
+from diagnosis.estimation.refusal import Reason, Refused, reason_of
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
@@ -128,6 +128,24 @@ def test_what_state_or_place_predict_is_no_gust(arpl_250g):
     assert of_state.parameters == {"intensity": 0.5}
     calm = Selection(Scored((), 0.0, 0.0), (), air, air, False)
     assert gust_refusal(of_all, calm, results(state=2.0)) is None
+
+
+def test_air_that_moves_nothing_by_what_matters_is_no_gust(arpl_250g):
+    """An estimate's noise is air of a centimetre a second to a vehicle with much drag, surely and on every flight."""
+    random, name = np.random.default_rng(0), CATALOGUE["gust"].parameters[0].name
+    slopes = np.zeros((80, CHANNELS, 2))
+    slopes[:, 0, 0], slopes[:, 1, 1] = 2.0, 1.0
+    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
+    of_all = regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows)
+    required = np.sqrt((1 + DEFAULT.relevance.min_rise) ** 2 - 1) / 2.0  # m/s: by twice as much the first axis moves
+    for intensity, refused in ((0.9 * required, True), (1.1 * required, False)):
+        air = Gust(1e3, 1e3, intensity, 1e-3 * intensity, 1.0, effect=CATALOGUE["gust"])
+        answer = gust_refusal(of_all, Selection(Scored((), 0.0, 0.0), (), air, air, True), results())
+        assert (answer is not None) == refused
+        if answer is not None:
+            assert (answer.reason, answer.where, answer.parameters) == ("too_small", "imu", {name: intensity})
+            assert answer.detail == pytest.approx({"signal": 2.0 * intensity, "floor": 1.0})
+            assert "moves imu by" in reason_of(answer)
 
 
 def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):
