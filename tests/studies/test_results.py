@@ -71,8 +71,8 @@ def test_a_recording_shows_tracking_timing_and_states() -> None:
     shown = show(RECORDING)
     assert shown.kind == "recording"
     assert {"Tracking", "Timing"} <= set(shown.pictures)
-    assert shown.lines[0].startswith("Position error while it tracked: 5.2 cm RMS")
-    assert "3 late (scheduler 2, link 1)" in shown.lines[1]
+    assert shown.lines[0].startswith("Position error while it tracked: 5.3 cm RMS")
+    assert "1 late (link 1)" in shown.lines[1]
     assert [table.title for table in shown.tables] == ["Timing of the ticks", "States"]
 
 
