@@ -73,7 +73,7 @@ def test_a_recording_shows_tracking_timing_and_states() -> None:
     assert {"Tracking", "Timing"} <= set(shown.pictures)
     assert shown.lines[0].startswith("Position error while it tracked: 5.3 cm RMS")
     assert "1 late (link 1)" in shown.lines[1]
-    assert [table.title for table in shown.tables] == ["Timing of the ticks", "States"]
+    assert [table.title for table in shown.tables] == ["Timing of the ticks", "Events", "States"]
 
 
 def test_a_recording_that_was_cut_off_is_shown_to_there(tmp_path: Path) -> None:
