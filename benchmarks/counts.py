@@ -32,7 +32,7 @@ SHARES: Mapping[str, float] = {  # of the processor time
     "speeds": 0.1, "commands": 0.1, "true_file": 0.1, "campaign": 0.1, "estimator": 0.1,
     "add": 0.25, "mutated": 0.15, "many": 0.1,
 }  # fmt: skip
-TOGETHER = {  # flown; a flight more costs little of the time, and 40 MB
+TOGETHER = {  # flown, which costs little more time than one alone
     "speeds": 48, "commands": 48, "true_file": 48, "campaign": 1, "estimator": 24, "add": 32, "many": 20,
 }  # fmt: skip
 MIN_SHOWN = 1.01  # growth of a channel's error that counts as worse

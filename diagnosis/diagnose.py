@@ -109,16 +109,7 @@ def diagnose_dataset(
     judgement = _Judgement(regression, selection, dataset, before)
     accepted = accepted_fit(regression, selection, dataset)
     progress(0.85, "tests of what remains")
-    judged = judgement.of(accepted)
-    while late := effects_of_late_signal(regression, accepted.fit, judged.fitted):
-        accepted = without(regression, accepted, late, dataset)
-        judged = judgement.of(accepted)
-    while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
-        accepted = without(regression, accepted, standing_in, dataset)
-        judged = judgement.of(accepted)
-    if judged.rejected and (more := with_small(regression, accepted, selection.chosen.candidates, dataset)):
-        with_more = judgement.of(more)
-        accepted, judged = (accepted, judged) if with_more.rejected else (more, with_more)
+    accepted, judged = judgement.revised(accepted)
     selection = judged.selection
     effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
@@ -276,6 +267,21 @@ class _Judgement:
         gusty = selection.gust_detected and refused is None
         rejected = self._rejected(accepted.fit, tests, after, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
+
+    def revised(self, accepted: Accepted) -> tuple[Accepted, _Judged]:
+        """The effects that the residuals leave, those that mattered after all among them, and what is said of these."""
+        regression, dataset, judged = self._regression, self._dataset, self.of(accepted)
+        while late := effects_of_late_signal(regression, accepted.fit, judged.fitted):
+            accepted = without(regression, accepted, late, dataset)
+            judged = self.of(accepted)
+        while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
+            accepted = without(regression, accepted, standing_in, dataset)
+            judged = self.of(accepted)
+        if judged.rejected and (more := with_small(regression, accepted, self._selected.chosen.candidates, dataset)):
+            with_more = self.of(more)
+            if not with_more.rejected:
+                return more, with_more
+        return accepted, judged
 
     def _rejected(
         self, accepted: Fit, tests: ResidualTests, after: list[Floats], *, gusty: bool

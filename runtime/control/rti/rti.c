@@ -208,7 +208,7 @@ void rti_clear_thrust(rti *r) { history_clear(&r->thrust); }
 void rti_add_thrust(rti *r, double time, const double *speed, double thrust) {
     double scaled[NU], commanded = 0, share = 1;
     for (int j = 0; j < NU; j++) commanded += r->ocp.options.thrust_constant[j] * speed[j] * speed[j];
-    if (isfinite(thrust)) share = sqrt(thrust / commanded);
+    if (isfinite(thrust) && commanded > 0) share = sqrt(thrust / commanded);
     for (int j = 0; j < NU; j++) scaled[j] = share * speed[j];
     history_add(&r->thrust, time, scaled);
 }

@@ -421,3 +421,17 @@ def test_a_forecast_is_by_the_commands_that_acted(arpl_250g: Vehicle, lag: float
     by_commands.follow_commands(before, 2.0, after, 2.02)
     by_segments.follow(before, [hover], [0.02], after, 2.02)
     np.testing.assert_allclose(first.filter_state, second.filter_state, rtol=1e-9, atol=1e-12)
+
+
+def test_a_command_of_rotors_that_stand_is_no_hole_in_the_history(arpl_250g: Vehicle) -> None:
+    """Nothing scales it to a thrust; what is commanded later is followed."""
+    solver, hover = solver_of(arpl_250g), np.full(4, arpl_250g.hover_speed)
+    filtered = FlightFilter(solver, ON)
+    solver.begin_thrust(hover, lag=0.025, period=0.01)
+    solver.add_thrust(0.0, np.zeros(4), 0.5)
+    for tick in range(1, 50):
+        solver.add_thrust(0.01 * tick, hover, np.nan)
+    filtered.restart(HOVER, 0.47)
+    filtered.follow_commands(HOVER, 0.47, HOVER, 0.48)
+    assert filtered.rejected == 0
+    np.testing.assert_allclose(filtered.staying + filtered.fading, 0.0, atol=1e-3)
