@@ -215,6 +215,10 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     min_share_of_mixture: of that combination's agreement that the file's arms must have. [formula: 0.5 for arms turned
     by 45 degrees]
     opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks/rotor_orders.py]
+    max_opposite_ratio: of measured over modelled yaw acceleration then; above it something else yaws the vehicle
+    against its rotors. [formula: constants of torque are known to a factor of two]
+    min_outlier: logarithm of the gain of a rotor whose speed is doubted, over the greatest of its peers'. [definition:
+    twice what is usual in this flight]
     min_angular_acceleration: standard deviation about x and y that is judged, rad/s^2. [margins: neither]
     min_yaw_acceleration: the same about z, where rotors act less. [margins: neither]
     angular_ratio: range of measured over modelled angular acceleration. [margins: neither]
@@ -231,6 +235,8 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     no_relation: Share = 0.1
     min_share_of_mixture: Share = 0.6
     opposite_yaw: Correlation = -0.25
+    max_opposite_ratio: Factor = 3.0
+    min_outlier: Factor = 2.0
     min_angular_acceleration: Score = 0.5
     min_yaw_acceleration: Score = 0.2
     angular_ratio: Range = (0.2, 5.0)
@@ -383,6 +389,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
     min_contender_share: of the best score that a contender must have. [margins: neither]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
+    max_inflation: of a coefficient's variance by the others of a set, above which rounding and the errors-in-variables
+    correction make its value. [formula: a mass and a thrust constant, of which 99.7 % is common, have 170]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
     min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
     """
@@ -407,6 +415,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_contenders: Count = 5
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
+    max_inflation: Factor = 1e5
     amplitude: Range = (0.4, 1.9)
     min_gust_share: Share = 0.03
 
@@ -477,6 +486,9 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
     line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
     deviation of 100 values holds to 7 %]
+    ahead: by which the state is taken later, and earlier, where it predicts, s. [benchmarks/counts.py, seeds 24000 on:
+    where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the catalogue 0.9 to
+    1.2 times]
     """
 
     chances: Count = 8
@@ -495,6 +507,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     window_width: Factor = 1.5
     chance: Share = 1e-3
     line_draws: Annotated[int, Meta(ge=10)] = 100
+    ahead: Positive = 0.16
 
 
 class EquationErrorThresholds(ThresholdGroup, frozen=True):
@@ -517,6 +530,9 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
         deviations, none with one]
     min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
         none]
+    faster: by which that cutoff is multiplied to see whether a value follows it. [benchmarks/counts.py: of seeds 24007
+        and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
+    unsure: share of that move that is a deviation of the value. [definition: the deviation of two values]
     """
 
     max_steps: Count = 8
@@ -530,6 +546,8 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     slower: Annotated[float, Meta(gt=1)] = 2.0
     max_moved: Positive = 1.0
     min_more: Share = 0.1
+    faster: Annotated[float, Meta(gt=1)] = 4.0
+    unsure: Share = 0.5
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):

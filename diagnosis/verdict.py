@@ -52,12 +52,16 @@ def gust_refusal(
 
 
 def _small_gust(regression: Regression, gust: Gust) -> Refused | None:
-    """The refusal of a gust whose air moves no channel by what matters, as an estimate errs; None otherwise."""
+    """The refusal of a gust whose air pushes by less than what matters, as an estimate errs; None otherwise.
+
+    Air that only turns the vehicle is none: a torque of turbulence is taken for it where flapping is in the model.
+    """
     signal, floor = signal_of(gust, regression), regression.noise.floor
     if signal is None or gust.effect is None:
         return None
-    active = list(regression.noise.active)
-    axis = max(active, key=lambda i: signal[i] / floor[i])
+    active = regression.noise.active
+    forces = [i for i in active if i < channels.POSE_ACCELERATION.stop] or list(active)
+    axis = max(forces, key=lambda i: signal[i] / floor[i])
     if np.hypot(signal[axis], floor[axis]) >= (1 + regression.thresholds.relevance.min_rise) * floor[axis]:
         return None
     detail = {"signal": float(signal[axis]), "floor": float(floor[axis])}

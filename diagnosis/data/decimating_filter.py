@@ -23,20 +23,24 @@ FEW = 16  # rows for each signal, from which on filtering them all is faster tha
 
 
 def filtered_rows(values: Floats, rate: float, filters: FilterThresholds, *, products: bool = False) -> Floats:
-    """(m, ...) low-pass of values (n, ...) at the rows of the regression. products: with Simpson's weights first."""
+    """(m, ...) low-pass of values (n, ...) at the rows of the regression. products: with Simpson's weights first.
+
+    Of a model that has diverged the values are infinite, and the result is no number, which those who fit it look for.
+    """
     count = len(values)
     rows = decimated_rows(count, rate, filters)
     signals = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, count)
     places = np.arange(rows.start, rows.stop, rows.step)
     result = np.empty((len(signals), len(places)))
     reach = _reach(rate, filters.cutoff)
-    if count <= 4 * reach and len(signals) <= count // FEW:
-        weighted = simpson(signals.T) if products else signals.T
-        result[:] = zero_phase(weighted, rate, filters.cutoff)[rows].T
-    elif count <= 4 * reach:
-        result[:] = signals @ _responses(count, rate, filters.cutoff, products)[places].T
-    else:
-        _apply(signals, places, reach, _responses(4 * reach, rate, filters.cutoff, products), result)
+    with np.errstate(invalid="ignore", over="ignore"):
+        if count <= 4 * reach and len(signals) <= count // FEW:
+            weighted = simpson(signals.T) if products else signals.T
+            result[:] = zero_phase(weighted, rate, filters.cutoff)[rows].T
+        elif count <= 4 * reach:
+            result[:] = signals @ _responses(count, rate, filters.cutoff, products)[places].T
+        else:
+            _apply(signals, places, reach, _responses(4 * reach, rate, filters.cutoff, products), result)
     return np.moveaxis(result.reshape(*values.shape[1:], len(places)), -1, 0)
 
 

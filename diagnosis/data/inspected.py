@@ -22,6 +22,8 @@ from flights.quality.frozen import frozen_findings
 from flights.quality.inspection import MIN_ROTOR_RATE
 from flights.quality.rotor_balance import UnevenRotor, rotor_findings, uneven_rotors
 
+TINY = 1e-3  # of a gain that is none
+
 
 def inspected(
     flights: Sequence[Flight], vehicle: Vehicle, thresholds: Thresholds = DEFAULT
@@ -105,14 +107,20 @@ def _commanded(flight: Flight) -> bool:
 
 
 def _contradicted(flight: Flight, wrong: UnevenRotor, vehicle: Vehicle, thresholds: Thresholds) -> bool:
-    """Whether the rotor's moments are nearer to those of its peers' speed than to those of the speed that it reads."""
+    """Whether the rotor's moments are nearer to those of its peers' speed than to those of the speed that it reads.
+
+    Not where its peers' moments are off by as much: then one flight's turbulence says nothing of single rotors.
+    """
     parts = segments(flight, vehicle, thresholds)
     if not parts:  # it reads zero, so that nowhere in flight all rotors have a speed
         return True
     moments = compared_moments(parts, vehicle, thresholds.rotor_moments)
     if moments.explained < thresholds.rotor_moments.min_explained:
         return True
-    gain = float(rotor_gains(moments, vehicle)[wrong.rotor])
+    gains = rotor_gains(moments, vehicle)
+    sizes, gain = np.abs(np.log(np.maximum(gains, TINY))), float(gains[wrong.rotor])
+    if sizes[wrong.rotor] < thresholds.rotor_moments.min_outlier * np.max(np.delete(sizes, wrong.rotor)):
+        return False
     return gain > 1 / wrong.share if wrong.share < 1 else gain < 1 / wrong.share
 
 

@@ -91,7 +91,7 @@ def require_rotor_moments(
         _require_order(moments, limits)
         _require_proportion(moments, limits)
         _require_scale(moments, vehicle, limits)
-    _require_spin(moments, limits)
+    _require_spin(moments, vehicle, limits)
     for flight in dict.fromkeys(s.flight for s in segments):
         own = [s for s in segments if s.flight == flight]
         if sum(s.duration for s in own) >= limits.min_flight and len(own) < len(segments):
@@ -285,11 +285,18 @@ def _require_scale(moments: RotorMoments, vehicle: Vehicle, limits: RotorMomentC
     )
 
 
-def _require_spin(moments: RotorMoments, limits: RotorMomentChecks) -> None:
+def _require_spin(moments: RotorMoments, vehicle: Vehicle, limits: RotorMomentChecks) -> None:
+    """The rotors may not yaw the vehicle the other way, by about what they yaw it.
+
+    Where something else yaws it far more, as drag beside the centre of mass does, they answer that: opposite, too.
+    """
     if float(np.std(moments.acceleration[:, 2])) < limits.min_yaw_acceleration:
         return
-    yaw = float(moments.correlations(range(moments.squares.shape[1]))[2])
-    if yaw < limits.opposite_yaw:
+    count = moments.squares.shape[1]
+    yaw = float(moments.correlations(range(count))[2])
+    modelled = moments.squares @ moments.rows[2] / vehicle.body.inertia[2]
+    ratio = abs(yaw) * float(np.std(moments.acceleration[:, 2]) / max(float(np.std(modelled)), 1e-30))
+    if yaw < limits.opposite_yaw and ratio <= limits.max_opposite_ratio:
         raise DataError(
             "the rotors yaw the vehicle in the direction opposite to the vehicle file's (agreement "
             f"{yaw:.2f}). Turn the signs of [rotors] spin, or check that rates are body FLU and rotors in the file's "

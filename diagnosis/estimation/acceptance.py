@@ -65,7 +65,8 @@ def accepted_fit(
     if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
         own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
         accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
-    return _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
+    accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
+    return _with_damage_before_sensors(regression, accepted, dataset, lacking)
 
 
 def _with_rivals_of_refused(
@@ -85,6 +86,35 @@ def _with_rivals_of_refused(
             if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
                 accepted = trial
                 break
+    return accepted
+
+
+def _with_damage_before_sensors(
+    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with a rotor that lost thrust in place of its speed sensor, where these flights cannot tell which.
+
+    Propellers break, and a count of revolutions does not err by a few percent; whoever changes the sensor flies the
+    broken propeller again. Sensors that read too low are told apart: no rotor gains thrust.
+    """
+    for candidate in [c for c in accepted.fit.candidates if c.effect.acts_on == "rotor_speed_reading"]:
+        others = [c for c in accepted.fit.candidates if c is not candidate]
+        damaged = next(
+            (
+                c
+                for c in regression.candidates
+                if c.effect.lost_thrust
+                and c.rotor == candidate.rotor
+                and c.effect.name in candidate.effect.confounded_with
+                and all(c.key != other.key for other in others)
+            ),
+            None,
+        )
+        if damaged is not None:
+            trial = judged_fit(regression, [*others, damaged], dataset, vehicle, refused=accepted.refused)
+            level = accepted.fit.chi_square * regression.thresholds.acceptance.max_redundant_ratio
+            if {damaged.key, *(c.key for c in others)} <= set(trial.fit.keys) and trial.fit.chi_square <= level:
+                accepted = trial
     return accepted
 
 
@@ -170,12 +200,15 @@ def _merged_pair(
         alike = [c for c in regression.candidates if c.effect.name in names and len(c.columns) < width]
         trials = search.scores([(*rest, c) for c in alike if c is not one and c is not other])
         near = sorted((s for s in trials if s.gain >= required), key=lambda s: -s.score)
-        for scored in near[: limits.acceptance.max_rivals]:
+        fewer = [scored.candidates for scored in near[: limits.acceptance.max_rivals]]
+        if one.rotor is not None and one.rotor == other.rotor:  # they may cancel, whatever columns about them say
+            fewer += [(*rest, one), (*rest, other)]
+        for candidates in fewer:
             level = level or fit(regression, chosen, vehicle=vehicle).chi_square
-            trial = fit(regression, scored.candidates, vehicle=vehicle)
-            saved = search.penalty(one) + search.penalty(other) - search.penalty(scored.candidates[-1])
+            trial = fit(regression, candidates, vehicle=vehicle)
+            saved = search.penalty(one) + search.penalty(other) - search.penalty(candidates[-1])
             if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
-                return list(scored.candidates)
+                return list(candidates)
     return None
 
 
@@ -239,7 +272,7 @@ class _Trial:
         while True:
             relevance, floor = self._relevance(best)
             failing = [(c, r) for c in best.candidates if (r := self._failure(best, c, relevance[c.key])) is not None]
-            failing = failing or self._open_loop_failure(best)
+            failing = failing or self._channel_failure(best) or self._open_loop_failure(best)
             if not failing:
                 break
             weakest, failure = min(failing, key=lambda pair: _strength(relevance[pair[0].key]))
@@ -361,6 +394,35 @@ class _Trial:
             near = near_rivals(self._search, others, rivals)
             self._shares[place] = resample_share(self._search, others, rivals, near)
         return self._shares[place]
+
+    def _channel_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
+        """The effect without which a kind of channel is best that all together make worse, if they do; else empty.
+
+        One by one they may make it better: two that oppose each other do, and are worse together than neither.
+        """
+        moving = [c for c in best.candidates if c.effect.moves_vehicle]
+        if len(moving) < 2:
+            return []  # it has been judged
+        floor = self._held_out.floor(best.vehicle)
+
+        def changes(before: Vehicle, after: Vehicle) -> Mapping[str, ErrorChange]:
+            compared = self._held_out.channel_changes(before, after, floor)
+            return {kind: change for kind, change in compared.items() if kind != "attitude_rate"}
+
+        before = with_faults_of(best, self._vehicle)
+        worse = {k: change for k, change in changes(before, best.vehicle).items() if change.is_worse(self._limits)}
+        if worse and best.nuisances:
+            alike = changes(with_nuisances_of(best, self._vehicle), best.vehicle)
+            worse = {kind: change for kind, change in worse.items() if alike[kind].is_worse(self._limits)}
+        if not worse:
+            return []
+        kind, change = max(worse.items(), key=lambda item: item[1].rise)
+
+        def without(candidate: Candidate) -> float:
+            return changes(before, left_out(best, candidate, self._vehicle)[1])[kind].after
+
+        numbers = {"before": change.before, "after": change.after, "floor": change.floor}
+        return [(culprit := min(moving, key=without), refused_of(best, culprit, "channel_worse", kind, **numbers))]
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""

@@ -21,6 +21,7 @@ from diagnosis.selection.candidates import Candidate, scales_rotors
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
+from diagnosis.thresholds import EquationErrorThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
@@ -104,21 +105,55 @@ def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fi
     (Hausman, 1978). vehicle: that the effects were added to.
     """
     limits = regression.thresholds.equation_error
-    if not any(scales_rotors(candidate) for candidate in fitted.candidates):
+    scaling = [candidate for candidate in fitted.candidates if scales_rotors(candidate)]
+    if not scaling:
         return fitted
+    change, covariance = _change_by_cutoff(regression, fitted, vehicle, 1 / limits.slower)
+    if any(_is_moved(fitted.of(candidate), change, covariance, limits) for candidate in scaling):
+        fitted = _fitted(regression, fitted.candidates, vehicle, fitted.values, slower=limits.slower)
+    return _as_unsure_as_moved(regression, fitted, vehicle, scaling)
+
+
+def _as_unsure_as_moved(regression: Regression, fitted: Fit, vehicle: Vehicle, scaling: Sequence[Candidate]) -> Fit:
+    """The fit whose effects of the rotors' forces are as uncertain as faster motion moves them, beyond chance.
+
+    Where the vehicle moves as it is told to, their value is the same at every cutoff. Where gentle flights under
+    turbulence hold little but its own motion, it follows the cutoff, and the intervals know nothing of it.
+    """
+    limits = regression.thresholds.equation_error
+    change, of_chance = _change_by_cutoff(regression, fitted, vehicle, limits.faster)
+    covariance = fitted.covariance.copy()
+    for places in map(fitted.of, scaling):
+        if _is_moved(places, change, of_chance, limits):
+            covariance[np.ix_(places, places)] += np.outer(change[places], change[places]) * limits.unsure**2
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    estimates = {
+        key: replace(estimate, std=deviation)
+        for (key, estimate), deviation in zip(fitted.estimates.items(), deviations, strict=False)
+    }
+    return replace(fitted, covariance=covariance, estimates=estimates)
+
+
+def _is_moved(places: Sequence[int], change: Floats, covariance: Floats, limits: EquationErrorThresholds) -> bool:
+    return deviations_of(change[places], covariance[np.ix_(places, places)]) > limits.max_moved
+
+
+def _change_by_cutoff(regression: Regression, fitted: Fit, vehicle: Vehicle, factor: float) -> tuple[Floats, Floats]:
+    """(k,) by what another cutoff of slow motion moves the estimates, and (k, k) covariance of that by chance.
+
+    factor: on the cutoff. The fit of the lower one knows nothing that the other does not.
+    """
     together, values = (*fitted.candidates, *fitted.nuisances), fitted.values
-    problem = _EquationErrorProblem(regression, together, vehicle, slower=limits.slower)
+    problem = _EquationErrorProblem(regression, together, vehicle, slower=1 / factor)
     step = problem.step(np.array([values[candidate.key, name] for candidate, name in problem.free]))
     count = len(fitted.estimates)  # those of commands are behind them
-    slower, own = step.covariance[:count, :count], fitted.covariance[:count, :count]
-    deviation = np.sqrt(np.maximum(np.diag(slower), 1e-300))
-    sizes, axes = np.linalg.eigh((slower - own) / np.outer(deviation, deviation))
-    covariance = (axes * np.maximum(sizes, limits.min_more)) @ axes.T * np.outer(deviation, deviation)
-    for candidate in filter(scales_rotors, fitted.candidates):
-        places = fitted.of(candidate)
-        if deviations_of(step.change[places], covariance[np.ix_(places, places)]) > limits.max_moved:
-            return _fitted(regression, fitted.candidates, vehicle, values, slower=limits.slower)
-    return fitted
+    lower, higher = fitted.covariance[:count, :count], step.covariance[:count, :count]
+    if factor < 1:
+        lower, higher = higher, lower
+    deviation = np.sqrt(np.maximum(np.diag(lower), 1e-300))
+    sizes, axes = np.linalg.eigh((lower - higher) / np.outer(deviation, deviation))
+    least = regression.thresholds.equation_error.min_more
+    return step.change[:count], (axes * np.maximum(sizes, least)) @ axes.T * np.outer(deviation, deviation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,8 +63,8 @@ class ResidualTests:
         frequencies.
     predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
         velocity, gains on flights left out, over the number of whitened residuals, beyond a controller's answer to
-        turbulence; beside an estimator's slow errors, less what the state gains at most in residuals from elsewhere,
-        with which it has nothing to do.
+        turbulence and what turbulence makes of the state a moment later; beside an estimator's slow errors, less what
+        the state gains at most in residuals from elsewhere, with which it has nothing to do.
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -103,7 +103,8 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     by_state = _without_feedback(regression, rows)
     elsewhere = [_rolled(by_state, n / (chances + 1)) for n in range(1, chances + 1)]
     tried = [
-        _predictable(regression, x, by_state, regression.flight_of, elsewhere) for x in (features, fine_in_velocity)
+        _beyond_answers(regression, x, by_state, _predictable(regression, x, by_state, regression.flight_of, elsewhere))
+        for x in (features, fine_in_velocity)
     ]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
@@ -375,6 +376,29 @@ def _without_feedback(regression: Regression, rows: Sequence[Floats]) -> list[Fl
         for r, rate in zip(left, rates, strict=True):
             r[:, channel] -= slope * rate
     return left
+
+
+def _beyond_answers(
+    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], found: _Prediction
+) -> _Prediction:
+    """A prediction less what the state ahead predicts better than the state before.
+
+    What depends on the state does so as well on that a moment before as on that a moment after: it changes slowly. Of
+    turbulence the state before knows little; the state after is its result, and the controller's answer to it.
+    """
+    if found.gain <= regression.thresholds.verdict.max_predictable * max(regression.total, 1):
+        return found
+    rows_ahead = round(regression.thresholds.residual_tests.ahead * regression.rate)
+    after, before = (
+        _predictable(regression, [_moved(x, by) for x in features], rows, regression.flight_of).gain
+        for by in (rows_ahead, -rows_ahead)
+    )
+    return replace(found, gain=max(found.gain - max(after - before, 0.0), 0.0))
+
+
+def _moved(values: Floats, by: int) -> Floats:
+    """(m, k) the values of rows ahead, at the ends those of the last or first one."""
+    return np.asarray(values[np.clip(np.arange(len(values)) + by, 0, len(values) - 1)])
 
 
 def _by_group(values: Sequence[Floats], group_of: Sequence[int]) -> list[Floats]:

@@ -44,7 +44,7 @@ EFFECT = Effect(
             "heading", "rad", "direction of the wall from east", -math.pi, math.pi, lambda _: Prior(0.0, 2.0), 0.0
         ),
         Parameter("distance", "m", "of the wall from the origin", -1e3, 1e3, lambda _: Prior(2.0, 2.0), 0.0),
-        Parameter("scale", "m", "distance over which the force fades to 37 %", 0.02, 5.0, lambda _: Prior(0.3, 0.2), 1),
+        Parameter("scale", "m", "distance over which the force fades to 37 %", 0.05, 5.0, lambda _: Prior(0.3, 0.2), 1),
     ),
     wrench=wrench,
     grid=grid,

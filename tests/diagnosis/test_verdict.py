@@ -13,6 +13,7 @@ from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Reason, Refused, reason_of
+from diagnosis.models.channels import ANGULAR_ACCELERATION
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
@@ -146,6 +147,20 @@ def test_air_that_moves_nothing_by_what_matters_is_no_gust(arpl_250g):
             assert (answer.reason, answer.where, answer.parameters) == ("too_small", "imu", {name: intensity})
             assert answer.detail == pytest.approx({"signal": 2.0 * intensity, "floor": 1.0})
             assert "moves imu by" in reason_of(answer)
+
+
+def test_air_that_turns_the_vehicle_and_hardly_pushes_it_is_no_gust(arpl_250g):
+    """With flapping in the file turbulence of the rotors was 0.06 m/s of air, by all resamples."""
+    random = np.random.default_rng(1)
+    slopes = np.zeros((80, CHANNELS, 2))
+    slopes[:, ANGULAR_ACCELERATION.start, 0] = slopes[:, ANGULAR_ACCELERATION.start + 1, 1] = 4.0
+    slopes[:, 0, 0], slopes[:, 1, 1] = 0.4, 0.4
+    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
+    of_all = regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows)
+    air = Gust(1e3, 1e3, 0.1, 1e-4, 1.0, effect=CATALOGUE["gust"])
+    answer = gust_refusal(of_all, Selection(Scored((), 0.0, 0.0), (), air, air, True), results())
+    assert answer is not None
+    assert (answer.reason, answer.where) == ("too_small", "imu")
 
 
 def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):

@@ -151,6 +151,26 @@ def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
     assert tests.position_dependent == 0.0
 
 
+def test_turbulence_that_the_state_answers_is_no_function_of_the_state(of_noise, segments):
+    """A force that moves the vehicle is in the velocity afterwards: the state ahead predicts it, not the one before."""
+    of_all, rows = of_noise(0)
+    random, moved = np.random.default_rng(5), []
+    for y, segment in zip(rows, segments, strict=True):
+        force = lfilter([0.1], [1, -0.9], 4 * random.standard_normal(len(y)))  # for about 0.4 s
+        y[:, 0] += force
+        velocity = segment.velocity.copy()
+        answer = np.convolve(force, np.exp(-np.arange(50) / 12.5))[: len(force)] / 25.0
+        velocity[:, 0] += np.interp(np.arange(len(segment)), np.arange(len(segment))[segment.decimated], answer)
+        moved.append(dataclasses.replace(segment, velocity=velocity))
+    tests = run_residual_tests(dataclasses.replace(of_all, segments=tuple(moved)), rows)
+    unaware = msgspec.structs.replace(FEW.residual_tests, ahead=1e-3)  # which compares the state with itself
+    compared = dataclasses.replace(
+        of_all, segments=tuple(moved), thresholds=msgspec.structs.replace(FEW, residual_tests=unaware)
+    )
+    assert "predictable_from_state" in fires(run_residual_tests(compared, rows))
+    assert "predictable_from_state" not in fires(tests)
+
+
 def test_a_force_that_depends_on_the_place_repeats_there(of_noise, segments):
     of_all, rows = of_noise(0)
     for y, segment in zip(rows, segments, strict=True):

@@ -4,13 +4,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagnosis.data.dataset import read_dataset
+from diagnosis.data.dataset import make_dataset, read_dataset
+from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle_file import read_vehicle
-from fixtures.outside_cases import LAYOUTS, Campaign, flown, write_campaign
+from fixtures.outside_cases import LAYOUTS, Campaign, captured_flights, flown, vehicle_of, write_campaign
 from fixtures.outside_sensors import Recorder
 
 SOME = {n: CATALOGUE[n] for n in ("weak_rotor", "rotor_cant", "imu_bias", "gyro_bias", "time_delay")}
@@ -64,3 +65,17 @@ def test_a_misread_speed_beside_another_rotors_torque_is_one_weak_rotor(tmp_path
     by_key = {c.key: c for c in made.candidates}
     pair = [by_key["rotor_speed_fault[1]"], by_key["weak_rotor[0]"]]
     assert [c.key for c in merged_pairs(made, pair, vehicle)] == ["weak_rotor[1]"]
+
+
+def test_a_weak_rotor_and_a_misread_speed_that_cancel_are_neither():
+    """An inertia was named with a rotor that lost 61 % of its thrust and a sensor that reads 63 % of its speed."""
+    hidden = {"inertia": {"ratio_x": 1.1323294990342034, "ratio_y": 0.9294652667073872, "ratio_z": 0.7534419357711086}}
+    campaign = Campaign(hidden, {}, Recorder(400.0, noise=1.0983266196702641), False, False, 9, 406136707)
+    (truths,) = flown([campaign])
+    vehicle = vehicle_of(campaign)
+    diagnosis = diagnose_dataset(
+        make_dataset(captured_flights(campaign, truths), vehicle), vehicle, CATALOGUE
+    ).diagnosis
+    (named,) = diagnosis.effects
+    assert "inertia" in (named.name, *named.ambiguous_with)
+    assert named.rotor is None

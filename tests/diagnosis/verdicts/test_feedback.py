@@ -1,15 +1,18 @@
 """A controller's answer to turbulence is no inertia, and no function of the state that a model lacks."""
 
+import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
+from diagnosis.estimation.equation_error import beyond_feedback, fit
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from fixtures.compiled_flights import compiled_flights
 from fixtures.mutated_flights import USUAL, with_columns
-from fixtures.outside_cases import Campaign, flown, write_campaign
+from fixtures.outside_cases import Campaign, captured_flights, flown, vehicle_of, write_campaign
 from fixtures.outside_sensors import Recorder
 
 
@@ -53,3 +56,51 @@ def test_a_damping_that_the_catalogue_lacks_is_left_over(arpl_250g):
     diagnosis = diagnose_dataset(dataset, arpl_250g, without).diagnosis
     assert diagnosis.verdict == "unknown"
     assert "predictable_from_state" in {one.test for one in diagnosis.leftover}
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """Gentle flights of an outside vehicle in strong turbulence of its rotors, and the vehicle; nothing is hidden."""
+    recorder = Recorder(200.0, noise=1.979295853480063)
+    campaign = Campaign({}, {}, recorder, lag_declared=False, fast=False, flights=9, seed=49986954)
+    (truths,) = flown([campaign])
+    vehicle = vehicle_of(campaign)
+    return make_dataset(captured_flights(campaign, truths), vehicle), vehicle
+
+
+def test_an_inertia_that_follows_the_cutoff_is_as_uncertain(rough):
+    """It was 1.27 +- 0.09, by all resamples: there is hardly any motion but turbulence's own."""
+    dataset, vehicle = rough
+    regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+    (inertia,) = (c for c in regression.candidates if c.effect.name == "inertia")
+    fitted = fit(regression, [inertia])
+    judged = beyond_feedback(regression, fitted, vehicle)
+    assert fitted.values == judged.values
+    for axis in "xy":
+        own, unsure = fitted.estimates["inertia", f"ratio_{axis}"], judged.estimates["inertia", f"ratio_{axis}"]
+        assert own.value - 1 > 2 * own.std
+        assert unsure.value - 1 < 2 * unsure.std
+    assert judged.estimates["inertia", "ratio_z"].std < 0.01  # a yaw is flown, and the same at every cutoff
+    np.testing.assert_allclose(np.sqrt(np.diag(judged.covariance)), [e.std for e in judged.estimates.values()])
+
+
+def test_it_is_not_named_then(rough):
+    dataset, vehicle = rough
+    diagnosis = diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
+    assert (diagnosis.verdict, diagnosis.effects) == ("explained", ())
+
+
+def test_what_turbulence_makes_of_the_state_is_not_left_over():
+    """These flights were `unknown`, since the state predicts the torque by which it was made."""
+    declared = {
+        "rotor_drag": {"coefficient": 8.189e-7},
+        "parasitic_drag": {"coefficient": 7.109e-4},
+        "rotational_damping": {"coefficient": 1.331e-5},
+        "blade_flapping": {"coefficient": 1.381e-9},
+    }
+    recorder = Recorder(100.0, noise=1.980297050200163)
+    campaign = Campaign({}, declared, recorder, lag_declared=False, fast=False, flights=9, seed=478959773)
+    (truths,) = flown([campaign])
+    dataset = make_dataset(captured_flights(campaign, truths), vehicle_of(campaign))
+    diagnosis = diagnose_dataset(dataset, vehicle_of(campaign), CATALOGUE).diagnosis
+    assert (diagnosis.verdict, diagnosis.leftover) == ("explained", ())
