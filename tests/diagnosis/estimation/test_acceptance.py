@@ -11,6 +11,7 @@ from diagnosis.estimation import acceptance
 from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
+from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, total_change
 from diagnosis.estimation.revision import overshadowed_effects
 from diagnosis.selection.regression_of_flights import make_regression
@@ -19,6 +20,8 @@ from diagnosis.selection.search import Search, select
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
+from fixtures.planted import planted_flights
+from tests.diagnosis.conftest import MANOEUVRES
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, planted, white
 
 SOME = {name: CATALOGUE[name] for name in ("mass", "imu_bias", "gyro_bias")}
@@ -209,3 +212,26 @@ def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):
         rivals = rivals_of(Search(regression), others, candidate_of)
         assert [len({r.key for r in s.candidates}) for s in rivals] == [3] * len(rivals)
     assert len(rivals_of(Search(regression), [b], a)) == 2  # c stands for a where it is not there yet
+
+
+def test_effects_that_together_make_a_channel_worse_are_not_both_named(arpl_250g, monkeypatch):
+    """Each is judged beside the other: two that oppose each other help one by one."""
+    hidden = [EffectUse("linear_drag", {"coefficient": 0.08}), EffectUse("rotational_damping", {"coefficient": 4e-3})]
+    names = ("linear_drag", "rotational_damping", "imu_bias", "gyro_bias", "time_delay")
+    data = make_dataset(planted_flights(arpl_250g, hidden, seed=8, manoeuvres=MANOEUVRES), arpl_250g)
+    regression = make_regression(arpl_250g, {n: CATALOGUE[n] for n in names}, data.fitted, data.flight_of)
+    selection = select(regression)
+    assert set(accepted_fit(regression, selection, data).fit.keys) == {"linear_drag", "rotational_damping"}
+    compare = HeldOut.channel_changes
+
+    def opposed(judge, before, after, floor):
+        changes, added = compare(judge, before, after, floor), len(after.effects) - len(before.effects)
+        if added < 2:
+            return changes
+        return {**changes, "angular": dataclasses.replace(changes["angular"], by_axis=(0.5,) * 3, deviations=5.0)}
+
+    monkeypatch.setattr(HeldOut, "channel_changes", opposed)
+    result = accepted_fit(regression, selection, data)
+    assert len(result.fit.keys) < 2
+    first = result.refused[0]
+    assert (first.name, first.reason, first.where) == ("linear_drag", "channel_worse", "angular")
