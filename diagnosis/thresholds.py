@@ -486,9 +486,9 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
     line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
     deviation of 100 values holds to 7 %]
-    ahead: by which the state is taken later, and earlier, where it predicts, s. [benchmarks/counts.py, seeds 24000 on:
-    where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the catalogue 0.9 to
-    1.2 times]
+    state_shift: by which the state is taken later, and earlier, where it predicts, s. [benchmarks/counts.py, seeds
+    24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
+    catalogue 0.9 to 1.2 times]
     """
 
     chances: Count = 8
@@ -507,7 +507,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     window_width: Factor = 1.5
     chance: Share = 1e-3
     line_draws: Annotated[int, Meta(ge=10)] = 100
-    ahead: Positive = 0.16
+    state_shift: Positive = 0.16
 
 
 class EquationErrorThresholds(ThresholdGroup, frozen=True):

@@ -8,16 +8,16 @@ that remain hold.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from diagnosis.data.dataset import Dataset
+from diagnosis.estimation.alternatives import decided_rivals, merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import beyond_feedback, fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange, total_change
@@ -29,6 +29,8 @@ from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
 from diagnosis.selection.search import Search, Selection
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
+
+Place = TypeVar("Place", bound=Hashable)  # of an error: a kind of channel, or horizon and quantity of the open loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ def accepted_fit(
     """
     lacking = regression.vehicle if vehicle is None else vehicle
     decided = on_decided_rotors(regression, selection.chosen.candidates, lacking)
-    chosen, worse = _decided_rivals(regression, merged_pairs(regression, decided, lacking), lacking)
+    chosen, worse = decided_rivals(regression, merged_pairs(regression, decided, lacking), lacking)
     accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
     preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
     if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
@@ -148,103 +150,6 @@ def _own_effects(regression: Regression, chosen: Sequence[Candidate], refused: S
     own = [c for c in regression.candidates if c.identity in names and not c.fixed_shape and c.key not in taken]
     alone = search.score(chosen).score
     return [c for c in own if search.score([*chosen, c]).score > alone]
-
-
-def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
-    """The selected effects, those of one rotor on the rotor with which the full model fits best.
-
-    The search decides by columns that turbulence does not reach; the torque that a weak rotor lost and a cant of the
-    same one then share what is the cant of another. The fitted flights alone decide, among rotors of a similar score.
-    """
-    limits, search, best = regression.thresholds, Search(regression), list(chosen)
-    required = limits.rivals.score_margin / max(regression.total, 1)
-    for place in [i for i, c in enumerate(chosen) if c.effect.per_rotor]:
-        others, keys = [c for i, c in enumerate(best) if i != place], {c.key for c in best}
-        alike = [c for c in regression.candidates if c.effect is best[place].effect and c.key not in keys]
-        alone, own = search.score(others).score, search.score(best).score
-        lowest = alone + limits.search.min_contender_share * (own - alone)
-        near = sorted(
-            (s for s in search.scores([(*others, c) for c in alike]) if s.score >= lowest), key=lambda s: -s.score
-        )
-        for scored in near[: limits.acceptance.max_rivals]:
-            trial = [*best[:place], scored.candidates[-1], *best[place + 1 :]]
-            levels = [fit(regression, candidates, vehicle=vehicle).chi_square for candidates in (best, trial)]
-            if levels[1] < levels[0] - required:
-                best = trial
-    return best
-
-
-def merged_pairs(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
-    """The selected effects, pairs that act alike replaced by one of theirs where the full model fits as well with it.
-
-    A rotor that lost thrust is also one whose speed is misread beside another one that lost torque. What either is
-    beyond linear decides by the columns; the fit decides by the penalty of the coefficients that are saved.
-    """
-    search, best = Search(regression), list(chosen)
-    while (merged := _merged_pair(regression, search, best, vehicle)) is not None:
-        best = merged
-    return best
-
-
-def _merged_pair(
-    regression: Regression, search: Search, chosen: list[Candidate], vehicle: Vehicle
-) -> list[Candidate] | None:
-    limits, level = regression.thresholds, 0.0
-    for one, other in itertools.combinations(chosen, 2):
-        if not _act_alike(one, other):
-            continue
-        rest = [c for c in chosen if c is not one and c is not other]
-        alone, own = search.score(rest).gain, search.score(chosen).gain
-        required = alone + limits.search.min_contender_share * (own - alone)
-        names, width = {one.effect.name, other.effect.name}, len(one.columns) + len(other.columns)
-        alike = [c for c in regression.candidates if c.effect.name in names and len(c.columns) < width]
-        trials = search.scores([(*rest, c) for c in alike if c is not one and c is not other])
-        near = sorted((s for s in trials if s.gain >= required), key=lambda s: -s.score)
-        fewer = [scored.candidates for scored in near[: limits.acceptance.max_rivals]]
-        if one.rotor is not None and one.rotor == other.rotor:  # they may cancel, whatever columns about them say
-            fewer += [(*rest, one), (*rest, other)]
-        for candidates in fewer:
-            level = level or fit(regression, chosen, vehicle=vehicle).chi_square
-            trial = fit(regression, candidates, vehicle=vehicle)
-            saved = search.penalty(one) + search.penalty(other) - search.penalty(candidates[-1])
-            if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
-                return list(candidates)
-    return None
-
-
-def _act_alike(one: Candidate, other: Candidate) -> bool:
-    """Whether both act on single rotors, or the catalogue declares that they look alike."""
-    declared = one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
-    return declared or (one.effect.per_rotor and other.effect.per_rotor)
-
-
-def _decided_rivals(
-    regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle
-) -> tuple[list[Candidate], list[Refused]]:
-    """The selected effects, the leading ones in favour of near rivals with which the full model fits clearly better.
-
-    To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
-    The fitted flights alone decide.
-    """
-    thresholds = regression.thresholds.acceptance
-    search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
-
-    def chi_square(candidates: Sequence[Candidate]) -> float:
-        fitted = fit(regression, candidates, vehicle=vehicle)
-        return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
-
-    for place in range(min(len(chosen), thresholds.leading)):
-        others = [c for i, c in enumerate(best) if i != place]
-        near = near_rivals(search, others, rivals_of(search, others, best[place]))
-        for rival in near[: thresholds.max_rivals]:
-            level = level or chi_square(best)
-            trial = [*best[:place], rival.candidates[-1], *best[place + 1 :]]
-            trial_level = chi_square(trial)
-            if thresholds.max_redundant_ratio * trial_level < level:
-                numbers = {"chi_square": level, "of_rival": trial_level}
-                refused.append(Refused(best[place].effect.name, best[place].rotor, "worse_than_rival", numbers))
-                best, level = trial, trial_level
-    return best, refused
 
 
 class _Trial:
@@ -396,54 +301,63 @@ class _Trial:
         return self._shares[place]
 
     def _channel_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
-        """The effect without which a kind of channel is best that all together make worse, if they do; else empty.
+        """The effect without which a kind of channel is best that all together make worse; empty where none is worse.
 
         One by one they may make it better: two that oppose each other do, and are worse together than neither.
         """
-        moving = [c for c in best.candidates if c.effect.moves_vehicle]
-        if len(moving) < 2:
-            return []  # it has been judged
         floor = self._held_out.floor(best.vehicle)
 
-        def changes(before: Vehicle, after: Vehicle) -> Mapping[str, ErrorChange]:
-            compared = self._held_out.channel_changes(before, after, floor)
-            return {kind: change for kind, change in compared.items() if kind != "attitude_rate"}
+        def compare(before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+            by_kind = self._held_out.channel_changes(before, after, floor)
+            return {kind: change for kind, change in by_kind.items() if kind != "attitude_rate"}
 
-        before = with_faults_of(best, self._vehicle)
-        worse = {k: change for k, change in changes(before, best.vehicle).items() if change.is_worse(self._limits)}
-        if worse and best.nuisances:
-            alike = changes(with_nuisances_of(best, self._vehicle), best.vehicle)
-            worse = {kind: change for kind, change in worse.items() if alike[kind].is_worse(self._limits)}
-        if not worse:
+        joint = self._worse_together(best, compare)
+        if joint is None or len(joint.moving) < 2:  # one alone has been judged
             return []
-        kind, change = max(worse.items(), key=lambda item: item[1].rise)
-
-        def without(candidate: Candidate) -> float:
-            return changes(before, left_out(best, candidate, self._vehicle)[1])[kind].after
-
-        numbers = {"before": change.before, "after": change.after, "floor": change.floor}
-        return [(culprit := min(moving, key=without), refused_of(best, culprit, "channel_worse", kind, **numbers))]
+        numbers = {"before": joint.change.before, "after": joint.change.after, "floor": joint.change.floor}
+        return [(joint.culprit, refused_of(best, joint.culprit, "channel_worse", joint.place, **numbers))]
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
+        joint = self._worse_together(best, self._held_out.open_loop_changes)
+        if joint is None:
+            return []
+        (horizon, quantity), culprit = joint.place, joint.culprit
+        numbers = {"horizon": horizon, "before": joint.change.before, "after": joint.change.after}
+        return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
+
+    def _worse_together(
+        self, best: Fit, compare: Callable[[Vehicle, Vehicle], Mapping[Place, ErrorChange]]
+    ) -> _Joint[Place] | None:
+        """The error that all effects together make worse by most, None without any. compare: by place of the error."""
         moving = [c for c in best.candidates if c.effect.moves_vehicle]
         before = with_faults_of(best, self._vehicle)
-        compared = self._held_out.open_loop_changes(before, best.vehicle) if moving else {}
-        worse = {place: change for place, change in compared.items() if change.is_worse(self._limits)}
+        errors = compare(before, best.vehicle) if moving else {}
+        worse = {place: change for place, change in errors.items() if change.is_worse(self._limits)}
         if worse and best.nuisances:
-            alike = self._held_out.open_loop_changes(with_nuisances_of(best, self._vehicle), best.vehicle)
+            alike = compare(with_nuisances_of(best, self._vehicle), best.vehicle)
             worse = {place: change for place, change in worse.items() if alike[place].is_worse(self._limits)}
         if not worse:
-            return []
-        (horizon, quantity), change = max(worse.items(), key=lambda item: item[1].rise)
+            return None
+        place, change = max(worse.items(), key=lambda item: item[1].rise)
 
         def without(candidate: Candidate) -> float:
-            fewer = left_out(best, candidate, self._vehicle)[1]
-            return self._held_out.open_loop_changes(before, fewer)[horizon, quantity].after
+            return compare(before, left_out(best, candidate, self._vehicle)[1])[place].after
 
-        culprit = min(moving, key=without)
-        numbers = {"horizon": horizon, "before": change.before, "after": change.after}
-        return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
+        return _Joint(place, change, moving, min(moving, key=without))
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint(Generic[Place]):
+    """An error that effects make worse together.
+
+    place: of the error. change: of it. moving: the effects. culprit: the one without which it is least.
+    """
+
+    place: Place
+    change: ErrorChange
+    moving: Sequence[Candidate]
+    culprit: Candidate
 
 
 def refused_of(fitted: Fit, candidate: Candidate, reason: Reason, where: str = "", **detail: float) -> Refused:

@@ -152,8 +152,8 @@ def _change_by_cutoff(regression: Regression, fitted: Fit, vehicle: Vehicle, fac
         lower, higher = higher, lower
     deviation = np.sqrt(np.maximum(np.diag(lower), 1e-300))
     sizes, axes = np.linalg.eigh((lower - higher) / np.outer(deviation, deviation))
-    least = regression.thresholds.equation_error.min_more
-    return step.change[:count], (axes * np.maximum(sizes, least)) @ axes.T * np.outer(deviation, deviation)
+    min_size = regression.thresholds.equation_error.min_more
+    return step.change[:count], (axes * np.maximum(sizes, min_size)) @ axes.T * np.outer(deviation, deviation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -379,21 +379,21 @@ def _without_feedback(regression: Regression, rows: Sequence[Floats]) -> list[Fl
 
 
 def _beyond_answers(
-    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], found: _Prediction
+    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], prediction: _Prediction
 ) -> _Prediction:
     """A prediction less what the state ahead predicts better than the state before.
 
     What depends on the state does so as well on that a moment before as on that a moment after: it changes slowly. Of
     turbulence the state before knows little; the state after is its result, and the controller's answer to it.
     """
-    if found.gain <= regression.thresholds.verdict.max_predictable * max(regression.total, 1):
-        return found
-    rows_ahead = round(regression.thresholds.residual_tests.ahead * regression.rate)
+    if prediction.gain <= regression.thresholds.verdict.max_predictable * max(regression.total, 1):
+        return prediction
+    shift = round(regression.thresholds.residual_tests.state_shift * regression.rate)
     after, before = (
         _predictable(regression, [_moved(x, by) for x in features], rows, regression.flight_of).gain
-        for by in (rows_ahead, -rows_ahead)
+        for by in (shift, -shift)
     )
-    return replace(found, gain=max(found.gain - max(after - before, 0.0), 0.0))
+    return replace(prediction, gain=max(prediction.gain - max(after - before, 0.0), 0.0))
 
 
 def _moved(values: Floats, by: int) -> Floats:

@@ -225,10 +225,10 @@ def test_effects_that_together_make_a_channel_worse_are_not_both_named(arpl_250g
     compare = HeldOut.channel_changes
 
     def opposed(judge, before, after, floor):
-        changes, added = compare(judge, before, after, floor), len(after.effects) - len(before.effects)
+        by_kind, added = compare(judge, before, after, floor), len(after.effects) - len(before.effects)
         if added < 2:
-            return changes
-        return {**changes, "angular": dataclasses.replace(changes["angular"], by_axis=(0.5,) * 3, deviations=5.0)}
+            return by_kind
+        return {**by_kind, "angular": dataclasses.replace(by_kind["angular"], by_axis=(0.5,) * 3, deviations=5.0)}
 
     monkeypatch.setattr(HeldOut, "channel_changes", opposed)
     result = accepted_fit(regression, selection, data)

@@ -163,7 +163,7 @@ def test_turbulence_that_the_state_answers_is_no_function_of_the_state(of_noise,
         velocity[:, 0] += np.interp(np.arange(len(segment)), np.arange(len(segment))[segment.decimated], answer)
         moved.append(dataclasses.replace(segment, velocity=velocity))
     tests = run_residual_tests(dataclasses.replace(of_all, segments=tuple(moved)), rows)
-    unaware = msgspec.structs.replace(FEW.residual_tests, ahead=1e-3)  # which compares the state with itself
+    unaware = msgspec.structs.replace(FEW.residual_tests, state_shift=1e-3)  # which compares the state with itself
     compared = dataclasses.replace(
         of_all, segments=tuple(moved), thresholds=msgspec.structs.replace(FEW, residual_tests=unaware)
     )

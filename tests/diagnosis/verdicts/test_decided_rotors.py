@@ -6,7 +6,7 @@ import pytest
 
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.estimation.acceptance import merged_pairs, on_decided_rotors
+from diagnosis.estimation.alternatives import merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE

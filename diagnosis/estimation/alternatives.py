@@ -1,0 +1,115 @@
+"""Alternatives to selected effects that the full model decides on the fitted flights: rotors, pairs, rivals.
+
+The search decides by columns that are linear about one fit, and that turbulence does not reach.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
+from diagnosis.estimation.refusal import Refused
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.search import Search
+from dynamics.vehicle import Vehicle
+
+
+def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
+    """The selected effects, those of one rotor on the rotor with which the full model fits best.
+
+    The search decides by columns that turbulence does not reach; the torque that a weak rotor lost and a cant of the
+    same one then share what is the cant of another. The fitted flights alone decide, among rotors of a similar score.
+    """
+    limits, search, best = regression.thresholds, Search(regression), list(chosen)
+    required = limits.rivals.score_margin / max(regression.total, 1)
+    for place in [i for i, c in enumerate(chosen) if c.effect.per_rotor]:
+        others, keys = [c for i, c in enumerate(best) if i != place], {c.key for c in best}
+        alike = [c for c in regression.candidates if c.effect is best[place].effect and c.key not in keys]
+        alone, own = search.score(others).score, search.score(best).score
+        lowest = alone + limits.search.min_contender_share * (own - alone)
+        near = sorted(
+            (s for s in search.scores([(*others, c) for c in alike]) if s.score >= lowest), key=lambda s: -s.score
+        )
+        for scored in near[: limits.acceptance.max_rivals]:
+            trial = [*best[:place], scored.candidates[-1], *best[place + 1 :]]
+            levels = [fit(regression, candidates, vehicle=vehicle).chi_square for candidates in (best, trial)]
+            if levels[1] < levels[0] - required:
+                best = trial
+    return best
+
+
+def merged_pairs(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
+    """The selected effects, pairs that act alike replaced by one of theirs where the full model fits as well with it.
+
+    A rotor that lost thrust is also one whose speed is misread beside another one that lost torque. What either is
+    beyond linear decides by the columns; the fit decides by the penalty of the coefficients that are saved.
+    """
+    search, best = Search(regression), list(chosen)
+    while (merged := _merged_pair(regression, search, best, vehicle)) is not None:
+        best = merged
+    return best
+
+
+def _merged_pair(
+    regression: Regression, search: Search, chosen: list[Candidate], vehicle: Vehicle
+) -> list[Candidate] | None:
+    limits, level = regression.thresholds, 0.0
+    for one, other in itertools.combinations(chosen, 2):
+        if not _act_alike(one, other):
+            continue
+        rest = [c for c in chosen if c is not one and c is not other]
+        alone, own = search.score(rest).gain, search.score(chosen).gain
+        required = alone + limits.search.min_contender_share * (own - alone)
+        names, width = {one.effect.name, other.effect.name}, len(one.columns) + len(other.columns)
+        alike = [c for c in regression.candidates if c.effect.name in names and len(c.columns) < width]
+        trials = search.scores([(*rest, c) for c in alike if c is not one and c is not other])
+        near = sorted((s for s in trials if s.gain >= required), key=lambda s: -s.score)
+        fewer = [scored.candidates for scored in near[: limits.acceptance.max_rivals]]
+        if one.rotor is not None and one.rotor == other.rotor:  # they may cancel, whatever columns about them say
+            fewer += [(*rest, one), (*rest, other)]
+        for candidates in fewer:
+            level = level or fit(regression, chosen, vehicle=vehicle).chi_square
+            trial = fit(regression, candidates, vehicle=vehicle)
+            saved = search.penalty(one) + search.penalty(other) - search.penalty(candidates[-1])
+            if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
+                return list(candidates)
+    return None
+
+
+def _act_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether both act on single rotors, or the catalogue declares that they look alike."""
+    declared = one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
+    return declared or (one.effect.per_rotor and other.effect.per_rotor)
+
+
+def decided_rivals(
+    regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle
+) -> tuple[list[Candidate], list[Refused]]:
+    """The selected effects, the leading ones in favour of near rivals with which the full model fits clearly better.
+
+    To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
+    The fitted flights alone decide.
+    """
+    thresholds = regression.thresholds.acceptance
+    search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
+
+    def chi_square(candidates: Sequence[Candidate]) -> float:
+        fitted = fit(regression, candidates, vehicle=vehicle)
+        return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
+
+    for place in range(min(len(chosen), thresholds.leading)):
+        others = [c for i, c in enumerate(best) if i != place]
+        near = near_rivals(search, others, rivals_of(search, others, best[place]))
+        for rival in near[: thresholds.max_rivals]:
+            level = level or chi_square(best)
+            trial = [*best[:place], rival.candidates[-1], *best[place + 1 :]]
+            trial_level = chi_square(trial)
+            if thresholds.max_redundant_ratio * trial_level < level:
+                numbers = {"chi_square": level, "of_rival": trial_level}
+                refused.append(Refused(best[place].effect.name, best[place].rotor, "worse_than_rival", numbers))
+                best, level = trial, trial_level
+    return best, refused
