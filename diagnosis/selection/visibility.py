@@ -40,8 +40,17 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
         return False
     if any(s.pose_source == "estimator" for s in segments) and _turns_or_scales(effect, vehicle, catalogue):
         return False  # an estimator's pose is that of the sensors, with their axes and scale
+    if any(s.gyro is None for s in segments) and _is_of_gyro(effect, vehicle, catalogue):
+        return False  # the rates are the attitude's, which a gyro that was not logged cannot spoil
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & state_dependencies(effect, vehicle, catalogue)
+
+
+def _is_of_gyro(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect is a fault of the gyro and of nothing else."""
+    measure = _alone(effect, vehicle, catalogue).measure
+    moved = {place for place in range(measure.n_out()) if measure.jac_sparsity(place, PARAMETERS).nnz()}
+    return bool(moved) and moved <= {RATE_READING, GYRO_AXES}
 
 
 def _turns_or_scales(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:

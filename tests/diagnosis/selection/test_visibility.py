@@ -30,3 +30,10 @@ def test_a_scale_shows_against_a_pose_that_is_not_made_of_the_sensor(arpl_250g, 
 def test_a_turned_accelerometer_shows_without_a_pose(arpl_250g, segment):
     bare = replace(segment, lacks=frozenset({"position", "velocity", "attitude"}))
     assert can_show(CATALOGUE["imu_misalignment"], [bare], arpl_250g, CATALOGUE)
+
+
+@pytest.mark.parametrize(("name", "shown"), [("gyro_scale", False), ("gyro_bias", False), ("imu_bias", True)])
+def test_a_gyro_that_was_not_logged_has_no_fault(arpl_250g, segment, name, shown):
+    """A log without rates hid an inertia and was told of a gyro's scale, by all resamples."""
+    assert can_show(CATALOGUE[name], [replace(segment, gyro=None)], arpl_250g, CATALOGUE) == shown
+    assert can_show(CATALOGUE[name], [segment], arpl_250g, CATALOGUE)
