@@ -389,8 +389,6 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
     min_contender_share: of the best score that a contender must have. [margins: neither]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
-    max_inflation: of a coefficient's variance by the others of a set, above which rounding and the errors-in-variables
-    correction make its value. [formula: a mass and a thrust constant, of which 99.7 % is common, have 170]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
     min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
     """
@@ -415,7 +413,6 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_contenders: Count = 5
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
-    max_inflation: Factor = 1e5
     amplitude: Range = (0.4, 1.9)
     min_gust_share: Share = 0.03
 

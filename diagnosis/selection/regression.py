@@ -326,17 +326,6 @@ def solved(gram: Floats, product: Floats) -> tuple[Floats, Floats]:
     return theta, np.sum(theta * product, axis=-1)
 
 
-def inflation(gram: Floats) -> Floats:
-    """(..., p) by how much the variance of each coefficient grows by the others, of normal equations (..., p, p).
-
-    Infinite where rounding decides, or a correction has left no variance.
-    """
-    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-300))
-    matrix = gram / (scale[..., :, None] * scale[..., None, :]) + 1e-12 * np.eye(gram.shape[-1])
-    factors = np.diagonal(np.linalg.inv(matrix), axis1=-2, axis2=-1)
-    return np.asarray(np.where(factors >= 0.5, factors, np.inf))
-
-
 def marginals(grams: Sequence[Floats], products: Sequence[Floats], biases: Biases) -> tuple[list[Floats], list[Floats]]:
     """`marginal` of each flight."""
     return unzipped(marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True))

@@ -18,7 +18,7 @@ import numpy as np
 
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import Gust, gust_beside
-from diagnosis.selection.regression import Regression, inflation, solved
+from diagnosis.selection.regression import Regression, solved
 from diagnosis.thresholds import DEFAULT, SearchThresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -161,10 +161,8 @@ class Search:
         fits: dict[int, list[bool]] = {}
         for width, numbers in by_width.items():
             where = np.array([places[n] for n in numbers], dtype=int).reshape(len(numbers), width)
-            gram = self._gram[where[:, :, None], where[:, None, :]]
-            theta, gain = solved(gram, self._product[where])
+            theta, gain = solved(self._gram[where[:, :, None], where[:, None, :]], self._product[where])
             inside = (theta >= self._low[where]) & (theta <= self._high[where])
-            inside &= inflation(gram) <= self.thresholds.max_inflation
             possible = inside.all(axis=1)
             gains[numbers] = np.where(possible, gain, 0.0)
             scores[numbers] = np.where(possible, gain - self._penalties[where].sum(axis=1), IMPOSSIBLE)
