@@ -153,8 +153,9 @@ def _better_fit(
 
 
 def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: Fit) -> None:
-    """Raise DataError where an error rises from a vehicle to a fit.
+    """Raise DataError where an error rises from a vehicle to a fit: by more than chance, or by what matters at all.
 
+    A diagnosis names what chance may have made worse; a vehicle file that flies is not to be worse.
     before: the vehicle with the fit's sensor faults.
     """
     names = ", ".join(fitted.keys)
@@ -162,7 +163,7 @@ def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: 
     if open_loop and fitted.nuisances:
         alike = judge.worse_open_loop(with_nuisances_of(fitted, vehicle), fitted.vehicle)
         open_loop = {where: change for where, change in open_loop.items() if where in alike}
-    worse = judge.worse_channels(vehicle, fitted.vehicle) | open_loop
+    worse = judge.worse_channels(vehicle, fitted.vehicle) | judge.larger(vehicle, before, fitted.vehicle) | open_loop
     if worse:
         listed = "; ".join(f"{where}: {c.before:.4g} before, {c.after:.4g} after" for where, c in worse.items())
         raise DataError(

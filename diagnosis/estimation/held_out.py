@@ -75,6 +75,16 @@ class HeldOut:
         """Errors that rise from one vehicle to another by what matters and by more than chance, by name."""
         return self.worse_channels(before, after) | self.worse_open_loop(before, after)
 
+    def larger(self, vehicle: Vehicle, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+        """Errors that are larger by what matters, be it chance, by name: of channels and of the open loop.
+
+        before: the vehicle with the sensors' faults of the other, for the open loop, whose motion these do not change.
+        """
+        ratio = 1.0 + self._limits.max_rise
+        errors = self.channel_changes(vehicle, after, self.floor(after))
+        errors |= {f"{q} after {h:g} s": c for (h, q), c in self.open_loop_changes(before, after).items()}
+        return {name: change for name, change in errors.items() if change.after > ratio * change.before}
+
     def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
         """The same of the kinds of channel."""
         by_kind = self.channel_changes(before, after, self.floor(after))

@@ -1,11 +1,14 @@
 """What is added when no effect is named, the notes that come with it, and why an effect is refused."""
 
+import dataclasses
+
 import msgspec
 import pytest
 
 from diagnosis.addition import add_effect, notes_of_set
 from diagnosis.addition_report import report
 from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation.held_out import HeldOut
 from diagnosis.report import Diagnosis, MissingEffect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
@@ -62,3 +65,24 @@ def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_noted(pl
     assert answer["effect"] == "wind"
     assert answer["fitted_by"] == ("output error" if added.by_output_error else "equation error")
     assert answer["parameters"]["wind"]["x"]["unit"] == "m/s"
+
+
+@pytest.mark.parametrize(("growth", "written"), [(1.03, False), (1.01, True)])
+def test_what_is_larger_by_what_matters_is_not_written_be_it_chance(
+    plain_flights, arpl_250g, monkeypatch, growth, written
+):
+    """An inertia that a diagnosis named raised the error of moments by 2.5 %, within chance: nothing to fly with."""
+    windy = arpl_250g.with_effects(EffectUse("wind", {"x": 1.5, "y": 0.0, "z": 0.0}))
+    data, compare = make_dataset(plain_flights, windy), HeldOut.channel_changes
+
+    def grown(judge, before, after, floor):
+        by_kind = compare(judge, before, after, floor)
+        error = by_kind["angular"]
+        return {**by_kind, "angular": dataclasses.replace(error, after=growth * error.before, deviations=0.5)}
+
+    monkeypatch.setattr(HeldOut, "channel_changes", grown)
+    if written:
+        assert add_effect("wind", data, windy, SOME, date="2026-01-02").keys == ("wind",)
+    else:
+        with pytest.raises(DataError, match=r"wind was not added: .* an error rises \(angular: "):
+            add_effect("wind", data, windy, SOME, date="2026-01-02")
