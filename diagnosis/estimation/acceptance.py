@@ -189,7 +189,9 @@ class _Trial:
                 refused.append(failure)
             best = self._fit([c for c in best.candidates if c not in left])
         agreement = {c.key: self._agreement(best, c) for c in best.candidates}
-        return Accepted(best, tuple(refused), relevance, agreement, floor)
+        named = {c.identity for c in best.candidates}  # beside other effects one of them may have been refused before
+        still = tuple(one for one in refused if (one.name, one.rotor) not in named)
+        return Accepted(best, still, relevance, agreement, floor)
 
     def _fit(self, candidates: Sequence[Candidate], start: Mapping[tuple[str, str], float] | None = None) -> Fit:
         keys = frozenset(c.key for c in candidates)

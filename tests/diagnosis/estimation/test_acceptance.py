@@ -8,12 +8,13 @@ import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation import acceptance
-from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds
+from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds, judged_fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, total_change
-from diagnosis.estimation.revision import overshadowed_effects
+from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.revision import overshadowed_effects, with_small
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
@@ -235,3 +236,16 @@ def test_effects_that_together_make_a_channel_worse_are_not_both_named(arpl_250g
     assert len(result.fit.keys) < 2
     first = result.refused[0]
     assert (first.name, first.reason, first.where) == ("linear_drag", "channel_worse", "angular")
+
+
+def test_what_was_refused_beside_other_effects_and_is_named_is_not_both(arpl_250g):
+    """It was taken for small and tried a second time beside itself: "given twice", which no user can mend."""
+    fitted = hovering(arpl_250g, mass_ratio=1.05, seed=4, count=4)
+    dataset = Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
+    regression = make_regression(arpl_250g, SOME, fitted, dataset.flight_of)
+    chosen = select(regression).chosen.candidates
+    before = [Refused("mass", None, "too_small"), Refused("rotor_drag", None, "too_small")]
+    accepted = judged_fit(regression, chosen, dataset, arpl_250g, refused=before)
+    assert accepted.fit.keys == ("mass",)
+    assert [one.name for one in accepted.refused] == ["rotor_drag"]
+    assert with_small(regression, accepted, chosen, dataset) is None
