@@ -18,7 +18,6 @@ from flights.readers.px4_rotors import (
 )
 from flights.readers.ulog_topics import Topic, Topics
 
-MAX_PERIOD = 0.02  # s, of commands that are logged each time they are published
 TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status")
 
 THRUST_MODEL = "THR_MDL_FAC"  # share of a motor's thrust that PX4 takes to go with the square of its signal
@@ -47,21 +46,9 @@ def add_streams(assembly: Assembly, topics: Topics, vehicle_type: int | None) ->
         if source is not None
     ]
     for topic, motors in sorted(commands, key=lambda pair: -len(pair[0].time)):
-        assembly.add("rotor_command", _acting(topic.time), in_our_order(motors, order), topic.name)
+        assembly.add("rotor_command", topic.time, in_our_order(motors, order), topic.name)
     if speeds is not None or commands:
         assembly.note(why)
-
-
-def _acting(time: Floats) -> Floats:
-    """Mean times at which commands act, s, of those of their publication.
-
-    A command holds until the next one. PX4 logs commands each time they are published, or at 10 Hz, which says nothing
-    of how long they held.
-    """
-    if len(time) < 2:
-        return time
-    period = float(np.median(np.diff(time)))
-    return time + period / 2 if 0.0 < period <= MAX_PERIOD else time
 
 
 def _esc_speeds(assembly: Assembly, topics: Topics) -> tuple[Topic, Floats] | None:
@@ -94,7 +81,7 @@ def _function(topic: Topic, esc: int) -> int:
 
 def _motors(topics: Topics) -> tuple[Topic, Floats] | None:
     """actuator_motors: 0..1 by motor, NaN for those that do not exist."""
-    topic = topics.get("actuator_motors", published=True)
+    topic = topics.get("actuator_motors")
     if topic is None:
         return None
     control = topic.array("control", 12)
@@ -123,7 +110,7 @@ def _of_thrust(source: tuple[Topic, Floats] | None, factor: float, assembly: Ass
 def _outputs(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:
     """actuator_outputs as 0..1 by motor: pulses scaled by their limits, channels mapped by their function."""
     for instance, port in ((0, "MAIN"), (1, "AUX")):
-        topic = topics.get("actuator_outputs", instance, published=True)
+        topic = topics.get("actuator_outputs", instance)
         if topic is None:
             continue
         motors = _channels_of_motors(assembly, port)
@@ -175,7 +162,7 @@ def _limit(assembly: Assembly, port: str, channel: int, end: str, default: float
 
 def _mixed(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:
     """Rotor commands rebuilt from actuator_controls_0, which old logs hold at a far higher rate than the outputs."""
-    topic = topics.get("actuator_controls_0", published=True)
+    topic = topics.get("actuator_controls_0")
     if topic is None or vehicle_type != QUADROTOR or not topic.has("control[3]"):
         return None
     control = topic.array("control", 4)

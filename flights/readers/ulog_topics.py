@@ -80,11 +80,8 @@ class Topics:
         for item in sorted(data, key=lambda item: item.data["timestamp"][0]):
             self._data.setdefault((current.get(item.name, item.name), item.multi_id), []).append(item)
 
-    def get(self, name: str, instance: int = 0, *, published: bool = False) -> Topic | None:
-        """A topic's instance, None where it was not logged. A topic that was logged in several parts is joined.
-
-        published: its time is that of publication, from which a command acts, also where the sample's was logged.
-        """
+    def get(self, name: str, instance: int = 0) -> Topic | None:
+        """A topic's instance, None where it was not logged. A topic that was logged in several parts is joined."""
         parts = self._data.get((name, instance))
         if not parts:
             return None
@@ -93,8 +90,7 @@ class Topics:
             for field in parts[0].data
             if all(field in part.data for part in parts)
         }
-        stamps = np.asarray(columns["timestamp"]).astype(np.int64) if published else _sample_time(columns)
-        return Topic(name, columns, self._assembly.seconds(stamps, 1_000_000))
+        return Topic(name, columns, self._assembly.seconds(_sample_time(columns), 1_000_000))
 
 
 def _sample_time(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:

@@ -170,21 +170,6 @@ def test_rotor_commands_are_motor_signals_behind_the_thrust_model(truth: Truth, 
     assert any("THR_MDL_FAC" in note for note in log.provenance.notes)
 
 
-@pytest.mark.parametrize(("every", "delay"), [(1, 0.005), (10, 0.0)])
-def test_a_command_acts_in_the_middle_of_the_time_for_which_it_holds(
-    truth: Truth, tmp_path: Path, every: int, delay: float
-) -> None:
-    """Thinned out to 10 Hz it says nothing of how long it held; it acts from its publication, not from its sample."""
-    stamps = _stamps(truth)[::every]
-    control = {f"control[{i}]": _f(np.full(len(stamps), 0.5 if i < 4 else np.nan)) for i in range(12)}
-    topic = Topic("actuator_motors", {"timestamp": stamps, "timestamp_sample": stamps - np.uint64(700), **control})
-    log = _read(tmp_path, [_odometry(truth), topic])
-    pose, command = log.stream("position"), log.stream("rotor_command")
-    assert pose is not None
-    assert command is not None
-    assert_allclose(command.time - pose.time[::every], delay, atol=1e-6)
-
-
 def test_what_the_estimator_calls_invalid_is_masked(truth: Truth, tmp_path: Path) -> None:
     count = len(truth.time)
     ned, velocity = frames.enu_from_ned(truth.position), frames.enu_from_ned(truth.velocity)
