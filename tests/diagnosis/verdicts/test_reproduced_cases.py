@@ -91,7 +91,7 @@ def test_a_propeller_that_lost_thrust_and_torque_is_no_speed_sensor_alone(layout
     assert (effect.name, effect.rotor) == ("weak_rotor", 2)
     assert "rotor_speed_fault" in effect.ambiguous_with
     for name in ("loss", "torque_loss"):
-        assert effect.parameters[name].value == pytest.approx(0.08, abs=0.003)
+        assert effect.parameters[name].value == pytest.approx(0.08, abs=0.002)
 
 
 def test_a_sensor_that_reads_too_low_is_no_propeller() -> None:

@@ -90,12 +90,7 @@ def test_the_ground_that_carries_a_half_is_not_followed_beyond_the_touch_down(ar
     assert np.linalg.norm(after - WIND) < 1.5
 
 
-DROPS = pytest.mark.xfail(
-    reason="on some processors the vehicle drops by 6 m after the step down, on others it settles; not understood yet"
-)
-
-
-@pytest.mark.parametrize(("height", "limit"), [(-1.5, 1.0), pytest.param(1.5, 0.1, marks=DROPS)])
+@pytest.mark.parametrize(("height", "limit"), [(-1.5, 1.0), (1.5, 0.1)])
 def test_thrust_at_its_limits_is_no_disturbance(arpl_250g: Vehicle, height: float, limit: float) -> None:
     """A height that steps away needs more thrust than there is, or less than none: what left is what is compared."""
     flight = flight_of(arpl_250g, wind=True, height=8.0)
