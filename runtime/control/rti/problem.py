@@ -15,8 +15,9 @@ from dynamics.trim import Trim
 from runtime.control.kernel_model import FlownModel, trim_of
 
 # Rotors at rest cannot be linearised: thrust goes with the square of the speed, so at zero its derivative vanishes and
-# the solver would never turn them on again. At this share of hover speed a rotor gives 2 % of its hover thrust.
-MIN_SPEED = 0.15
+# the solver would never turn them on again, and without thrust no tilt moves the vehicle, so that a vehicle that has to
+# fall was turned over. At this share of hover speed a rotor gives 9 % of its hover thrust.
+MIN_SPEED = 0.3
 INPUT_SCALE = 0.1  # of hover speed: one unit of a scaled input
 DEFAULTS = ControllerSettings()
 

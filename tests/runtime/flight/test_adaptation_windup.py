@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dynamics import quaternion
 from dynamics.references import named_reference
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rti.problem import MIN_SPEED
 from runtime.flight.events import Fallback
 from runtime.flight.mission import Phase
 from tests.support.rate_controlled_vehicle import Flight
@@ -90,10 +93,13 @@ def test_the_ground_that_carries_a_half_is_not_followed_beyond_the_touch_down(ar
     assert np.linalg.norm(after - WIND) < 1.5
 
 
-@pytest.mark.parametrize(("height", "limit"), [(-1.5, 1.0), (1.5, 0.1)])
-def test_thrust_at_its_limits_is_no_disturbance(arpl_250g: Vehicle, height: float, limit: float) -> None:
-    """A height that steps away needs more thrust than there is, or less than none: what left is what is compared."""
+@pytest.mark.parametrize(("height", "slowest"), [(-1.5, False), (1.5, True)])
+def test_thrust_at_its_limits_is_no_disturbance(arpl_250g: Vehicle, height: float, slowest: bool) -> None:
+    """A height that steps away needs more thrust than there is, or less than the least."""
     flight = flight_of(arpl_250g, wind=True, height=8.0)
+    rotors = arpl_250g.rotors
+    least = rotors.thrust_max * (MIN_SPEED * arpl_250g.hover_speed / rotors.speed_max) ** 2  # N
+    limit = flight.thrust_map.setpoint(least) if slowest else 1.0
     flight.run(30.0, until=Phase.TRACK)
     flight.run(4.0)
     before = len(flight.story.decisions)
@@ -103,6 +109,25 @@ def test_thrust_at_its_limits_is_no_disturbance(arpl_250g: Vehicle, height: floa
     thrusts = [decision.thrust for decision in flight.story.decisions[before:]]
     assert min(abs(thrust - limit) for thrust in thrusts) < 0.05
     assert flight.flyer.mission.phase is Phase.TRACK
+    assert max(flight.story.errors[-50:]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("drop", "wind"), [(2.55, (1.07, 0.39)), (2.08, (0.04, -1.71)), (1.73, (1.0, -0.69)), (2.76, (0.19, -1.12))]
+)
+def test_a_height_that_steps_down_in_wind_turns_nothing_over(
+    arpl_250g: Vehicle, drop: float, wind: tuple[float, float]
+) -> None:
+    """A vehicle that falls with its rotors at rest would have no tilt to hold its place by, and looked for one."""
+    flight = flight_of(arpl_250g, seconds=60.0, height=12.0)
+    flight.plant.disturbance = np.array([*wind, 0.0])
+    flight.run(30.0, until=Phase.TRACK)
+    flight.run(4.0)
+    before = len(flight.story.states)
+    flight.offset = np.array([0.0, 0.0, drop])
+    flight.run(4.0)
+    attitudes = np.array(flight.story.states[before:])[:, ATTITUDE]
+    assert min(quaternion.rotate(attitude, np.array([0.0, 0.0, 1.0]))[2] for attitude in attitudes) > 0
     assert max(flight.story.errors[-50:]) < 0.1
 
 
