@@ -386,6 +386,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [margins: neither]
     max_trials: best additions that are cross-validated in one step. [margins: neither]
+    diverse: whether these are of different effects. [decisions: a search that ends unexplained begins again]
+    max_variants: trials with the same new effects in a diverse search. [margins: neither]
     max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
     min_contender_share: of the best score that a contender must have. [margins: neither]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
@@ -410,6 +412,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_pair_share: Share = 0.5
     max_paired: Count = 8
     max_trials: Count = 12
+    diverse: bool = False
+    max_variants: Count = 3
     max_contenders: Count = 5
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
@@ -422,7 +426,7 @@ class RivalThresholds(ThresholdGroup, frozen=True):
 
     score_margin: difference of score within which they cannot. [margins: neither]
     gain_share: of the gain, the same. [margins: half]
-    command_share: of an effect's gain, where rotor speeds come from commands. [margins: neither]
+    added_share: of what an effect adds to the others, that a rival may leave to be declared. [margins: neither]
     max_rivals: that are compared with an effect. [margins: neither]
     min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
     are declared where the catalogue says that they look alike. [margins: neither]
@@ -433,7 +437,7 @@ class RivalThresholds(ThresholdGroup, frozen=True):
 
     score_margin: Score = 12.0
     gain_share: Share = 0.01
-    command_share: Share = 0.15
+    added_share: Share = 0.15
     max_rivals: Count = 7
     min_narrow_ratio: Share = 0.95
     min_alike_share: Share = 0.5

@@ -17,7 +17,7 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import Gust, signal_of
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
-from diagnosis.selection.rivals import alone, near_rivals, rivals_of
+from diagnosis.selection.rivals import alone, look_alikes, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from dynamics.arrays import Floats
@@ -82,7 +82,7 @@ def missing_effects(
     for candidate in accepted.fit.candidates:
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
-        alike = [s.candidates[-1] for s in near_rivals(search, others, rivals)]
+        alike = [s.candidates[-1] for s in look_alikes(search, others, rivals)]
         near = [c.effect.name for c in alike if c.identity not in left_out or _takes_over(search, others, candidate, c)]
         near += _narrowly_worse(regression, candidate, accepted.refused)
         if regression.segments[0].rotor_source == "command":

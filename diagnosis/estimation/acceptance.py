@@ -25,7 +25,7 @@ from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
+from diagnosis.selection.rivals import look_alikes, near_rivals, resample_share, rivals_of
 from diagnosis.selection.search import Search, Selection
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -86,9 +86,32 @@ def _with_rivals_of_refused(
         for rival in [r for r in rivals if r.identity not in spoiling][:max_rivals]:
             trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
             if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
-                accepted = trial
+                accepted = _with_judged_again(regression, trial, candidate, chosen, dataset, vehicle)
                 break
     return accepted
+
+
+def _with_judged_again(
+    regression: Regression,
+    accepted: Accepted,
+    spoiling: Candidate,
+    chosen: Sequence[Candidate],
+    dataset: Dataset,
+    vehicle: Vehicle,
+) -> Accepted:
+    """The same with what was refused after a candidate that a rival has replaced, where it holds beside the rival.
+
+    While neither was in the model its error was open, beside which chance makes a kind of channel worse.
+    """
+    order = [(one.name, one.rotor) for one in accepted.refused]
+    later = set(order[order.index(spoiling.identity) + 1 :])
+    taken = {c.identity for c in accepted.fit.candidates}
+    again = [c for c in chosen if c.identity in later - taken]
+    if not again:
+        return accepted
+    earlier = [one for one in accepted.refused if (one.name, one.rotor) not in {c.identity for c in again}]
+    trial = judged_fit(regression, [*accepted.fit.candidates, *again], dataset, vehicle, refused=earlier)
+    return trial if set(accepted.fit.keys) < set(trial.fit.keys) else accepted
 
 
 def _with_damage_before_sensors(
@@ -298,7 +321,7 @@ class _Trial:
         if place not in self._shares:
             others = [c for c in best.candidates if c is not candidate]
             rivals = rivals_of(self._search, others, candidate)
-            near = near_rivals(self._search, others, rivals)
+            near = look_alikes(self._search, others, rivals)
             self._shares[place] = resample_share(self._search, others, rivals, near)
         return self._shares[place]
 

@@ -101,7 +101,9 @@ def decided_rivals(
         fitted = fit(regression, candidates, vehicle=vehicle)
         return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
 
-    for place in range(min(len(chosen), thresholds.leading)):
+    for place in range(len(chosen)):
+        if place >= thresholds.leading and (level or chi_square(best)) < regression.thresholds.search.explained:
+            break
         others = [c for i, c in enumerate(best) if i != place]
         near = near_rivals(search, others, rivals_of(search, others, best[place]))
         for rival in near[: thresholds.max_rivals]:

@@ -8,8 +8,11 @@ much is missing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
+
+from diagnosis.estimation.alternatives import decided_rivals
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit
 from diagnosis.selection.candidates import Candidate
@@ -22,7 +25,8 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
     """What is missing, and the regression about it: linear about the joint fit, in the gust that was detected.
 
     Where the full model leaves much, and a gust stood in for a drag, the search begins again in still air; what that
-    selects counts if it explains the flights.
+    selects counts if it explains the flights. Where something is left then, it begins again with trials of more
+    different effects; what that selects counts if it leaves less, both with rivals that the full model prefers.
     """
     thresholds = regression.thresholds.search
     first = select(regression)
@@ -30,6 +34,10 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
     if best.chi_square > thresholds.unexplained and (still := select_in_still_air(regression, first)) is not None:
         other = _explored(regression, still)
         best = other if other.chi_square <= thresholds.still_explained else best
+    if best.chi_square > thresholds.explained:
+        again = _explored_diversely(regression)
+        required = regression.thresholds.acceptance.max_redundant_ratio * _decided_chi_square(again)
+        best = again if _decided_chi_square(best) > required else best
     return best.regression.in_gust(best.selection.gust_variance), best.selection
 
 
@@ -43,6 +51,20 @@ class _Explored:
     regression: Regression
     selection: Selection
     chi_square: float
+
+
+def _decided_chi_square(explored: _Explored) -> float:
+    """Reduced chi-square of what is selected with those rivals of its effects that the full model prefers."""
+    regression = explored.regression.in_gust(explored.selection.gust_variance)
+    decided, _ = decided_rivals(regression, explored.selection.chosen.candidates, regression.vehicle)
+    return fit(regression, decided).chi_square
+
+
+def _explored_diversely(regression: Regression) -> _Explored:
+    """Where the rounds lead with trials of more different effects in each step."""
+    search = msgspec.structs.replace(regression.thresholds.search, diverse=True)
+    again = replace(regression, thresholds=msgspec.structs.replace(regression.thresholds, search=search))
+    return _explored(again, select(again))
 
 
 def _explored(regression: Regression, selection: Selection) -> _Explored:

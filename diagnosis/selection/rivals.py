@@ -31,14 +31,24 @@ def alone(search: Search, others: Sequence[Candidate]) -> Scored:
 
 
 def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
-    """Those of the rivals that the flights cannot distinguish from the first, by the linear regression."""
+    """Those of the rivals that the columns, which err by a share of the whole gain, do not tell from the first."""
     own, thresholds = rivals[0], search.regression.thresholds.rivals
     margin = max(thresholds.score_margin, thresholds.gain_share * own.gain)
     if search.regression.segments[0].rotor_source == "command":
-        margin = max(margin, thresholds.command_share * (own.score - alone(search, others).score))
+        margin = max(margin, thresholds.added_share * (own.score - alone(search, others).score))
     return [
         s for s in rivals[1:] if s.score > min_score(s.candidates, search.thresholds) and s.score > own.score - margin
     ]
+
+
+def look_alikes(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
+    """Those of the near rivals that leave little of what the first one adds to the others.
+
+    Beside much else the columns' error alone would make every rival of a small effect one.
+    """
+    own, thresholds = rivals[0], search.regression.thresholds.rivals
+    margin = max(thresholds.score_margin, thresholds.added_share * (own.score - alone(search, others).score))
+    return [s for s in near_rivals(search, others, rivals) if s.score > own.score - margin]
 
 
 def resample_share(

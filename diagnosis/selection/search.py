@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,7 +119,7 @@ class Search:
         self._gram, self._product = regression.summed()
         grid_sizes = Counter(c.effect.name for c in regression.candidates)
         of_catalogue = 2 * math.log(len(grid_sizes) + 1)
-        self._tried = {name: 2 * math.log(size) + of_catalogue for name, size in grid_sizes.items()}
+        self._points = {name: 2 * math.log(size) + of_catalogue for name, size in grid_sizes.items()}
         self._size = math.log(regression.independent)
         self._assumed = {c.columns: _distance_of_assumed(c, regression.vehicle) for c in regression.candidates}
         self._low, self._high = self._bounds()
@@ -140,7 +140,7 @@ class Search:
     def penalty(self, candidate: Candidate) -> float:
         """The criterion's penalty of a candidate."""
         assumed = self._assumed.get(candidate.columns, 0.0)
-        return len(candidate.columns) * self._size + self._tried[candidate.effect.name] + assumed
+        return len(candidate.columns) * self._size + self._points[candidate.effect.name] + assumed
 
     def score(self, candidates: Sequence[Candidate]) -> Scored:
         """The score of a set of effects, -inf where a coefficient is physically impossible."""
@@ -228,7 +228,7 @@ class Search:
         if not worth_more:
             return None
         before = self.regression.cross_validated_gain(chosen.columns)
-        for trial in sorted(worth_more, key=lambda s: -self.worth(s))[: self.thresholds.max_trials]:
+        for trial in self._tried(chosen, sorted(worth_more, key=lambda s: -self.worth(s))):
             improvement = min(trial.score - chosen.score, trial.gain - chosen.gain)
             if improvement <= 0:  # fewer effects, for next to no loss
                 return trial
@@ -236,6 +236,21 @@ class Search:
             if shown > self.thresholds.min_cross_validated * improvement:
                 return trial
         return None
+
+    def _tried(self, chosen: Scored, trials: Sequence[Scored]) -> Iterator[Scored]:
+        """The best trials; of those that bring in the same effects the first few alone in a diverse search.
+
+        Else the grid of one effect that fails, which a single flight shows, takes the place of all others.
+        """
+        limits = self.thresholds
+        present, seen = {c.identity for c in chosen.candidates}, Counter[frozenset[tuple[str, int | None]]]()
+        for trial in trials:
+            new = frozenset(c.identity for c in trial.candidates) - present if limits.diverse else frozenset()
+            if seen[new] < (limits.max_variants if limits.diverse else limits.max_trials):
+                seen[new] += 1
+                yield trial
+            if len(seen) > limits.max_trials:
+                return
 
     def _allowed(self, scored: Scored) -> bool:
         return len(scored.candidates) <= self.thresholds.max_effects

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.rivals import look_alikes, near_rivals, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Search
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
 
@@ -36,6 +36,23 @@ def test_an_effect_with_another_signal_can(arpl_250g):
     search = searched(arpl_250g, difference=1.0)
     rivals = rivals_of(search, [], search.regression.candidates[0])
     assert names(near_rivals(search, [], rivals)) == []
+
+
+def test_beside_much_else_what_leaves_a_half_of_a_small_effect_does_not_look_like_it(arpl_250g):
+    """The columns' error, a share of what the whole set explains, is more than the small effect."""
+    random = np.random.default_rng(3)
+    columns = [random.standard_normal((80, CHANNELS, 3)) for _ in range(6)]
+    for x in columns:
+        x[:, :, 2] = x[:, :, 1] + x[:, :, 2]
+    rows = [x[:, :, :2] @ [5.0, 0.3] + random.standard_normal((80, CHANNELS)) for x in columns]
+    candidates = [candidate(effect(name), i) for i, name in enumerate("abc")]
+    search = Search(
+        regression(arpl_250g, candidates, columns, rows, segments=hovering(arpl_250g, mass_ratio=1.0, seed=0))
+    )
+    a, b, _ = search.regression.candidates
+    rivals = rivals_of(search, [a], b)
+    assert names(near_rivals(search, [a], rivals)) == ["c"]
+    assert names(look_alikes(search, [a], rivals)) == []
 
 
 def test_an_effect_that_is_chosen_already_is_no_rival(arpl_250g):
