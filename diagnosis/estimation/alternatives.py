@@ -14,8 +14,10 @@ from diagnosis.estimation.refusal import Refused
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, rivals_of
-from diagnosis.selection.search import Search
+from diagnosis.selection.search import IMPOSSIBLE, Search, Set
 from dynamics.vehicle import Vehicle
+
+Pair = tuple[Candidate, Candidate]
 
 
 def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
@@ -43,10 +45,11 @@ def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehic
 
 
 def merged_pairs(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
-    """The selected effects, pairs that act alike replaced by one of theirs where the full model fits as well with it.
+    """The selected effects, pairs replaced by one effect where the full model fits as well with it.
 
-    A rotor that lost thrust is also one whose speed is misread beside another one that lost torque. What either is
-    beyond linear decides by the columns; the fit decides by the penalty of the coefficients that are saved.
+    A rotor that lost thrust is also one whose speed is misread beside another one that lost torque, and a drag at the
+    rotors a drag of the body beside a damping. What either is beyond linear decides by the columns; the fit decides by
+    the penalty of the coefficients that are saved.
     """
     search, best = Search(regression), list(chosen)
     while (merged := _merged_pair(regression, search, best, vehicle)) is not None:
@@ -57,33 +60,57 @@ def merged_pairs(regression: Regression, chosen: Sequence[Candidate], vehicle: V
 def _merged_pair(
     regression: Regression, search: Search, chosen: list[Candidate], vehicle: Vehicle
 ) -> list[Candidate] | None:
-    limits, level = regression.thresholds, 0.0
-    for one, other in itertools.combinations(chosen, 2):
-        if not _act_alike(one, other):
-            continue
-        rest = [c for c in chosen if c is not one and c is not other]
-        alone, own = search.score(rest).gain, search.score(chosen).gain
-        required = alone + limits.search.min_contender_share * (own - alone)
-        names, width = {one.effect.name, other.effect.name}, len(one.columns) + len(other.columns)
-        alike = [c for c in regression.candidates if c.effect.name in names and len(c.columns) < width]
-        trials = search.scores([(*rest, c) for c in alike if c is not one and c is not other])
-        near = sorted((s for s in trials if s.gain >= required), key=lambda s: -s.score)
-        fewer = [scored.candidates for scored in near[: limits.acceptance.max_rivals]]
-        if one.rotor is not None and one.rotor == other.rotor:  # they may cancel, whatever columns about them say
-            fewer += [(*rest, one), (*rest, other)]
-        for candidates in fewer:
-            level = level or fit(regression, chosen, vehicle=vehicle).chi_square
-            trial = fit(regression, candidates, vehicle=vehicle)
-            saved = search.penalty(one) + search.penalty(other) - search.penalty(candidates[-1])
-            if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
-                return list(candidates)
+    trials, level = _for_pairs(search, chosen), 0.0
+    for pair, candidates in trials:
+        level = level or fit(regression, chosen, vehicle=vehicle).chi_square
+        trial = fit(regression, candidates, vehicle=vehicle)
+        saved = sum(map(search.penalty, pair)) - search.penalty(candidates[-1])
+        if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
+            return list(candidates)
     return None
 
 
-def _act_alike(one: Candidate, other: Candidate) -> bool:
+def _for_pairs(search: Search, chosen: list[Candidate]) -> list[tuple[Pair, Set]]:
+    """Sets with one effect in place of two: of two that act alike one of theirs, of others one that is like either.
+
+    What is like one of two must lose less than what the weaker one adds.
+    """
+    limits, own, sets = search.regression.thresholds, search.score(chosen).gain, list[tuple[Pair, Set]]()
+    share = 1.0 - limits.search.min_contender_share
+    added = {c.key: own - search.score([o for o in chosen if o is not c]).gain for c in chosen}
+    for pair in itertools.combinations(chosen, 2):
+        one, other = pair
+        rest = [c for c in chosen if c is not one and c is not other]
+        width, names, alike = len(one.columns) + len(other.columns), {one.effect.name, other.effect.name}, _alike(*pair)
+        new = names - {c.effect.name for c in rest} if alike else _like_either(search, pair, chosen)
+        some = [c for c in search.regression.candidates if c.effect.name in new and len(c.columns) < width]
+        trials = search.scores([(*rest, c) for c in some if c is not one and c is not other])
+        loss = share * (own - search.score(rest).gain) if alike else min(added[c.key] for c in pair)
+        near = sorted((s for s in trials if s.score > IMPOSSIBLE and s.gain >= own - loss), key=lambda s: -s.score)
+        sets += [(pair, scored.candidates) for scored in near[: limits.acceptance.max_rivals]]
+        if one.rotor is not None and one.rotor == other.rotor:  # they may cancel, whatever columns about them say
+            sets += [(pair, (*rest, c)) for c in pair]
+    return sets
+
+
+def _like_either(search: Search, pair: Pair, chosen: Sequence[Candidate]) -> set[str]:
+    """Effects that are not chosen, and that the catalogue declares to look like one of two, or that are drags, too."""
+    taken = {c.effect.name for c in chosen}
+    free = [c for c in search.regression.candidates if c.effect.name not in taken]
+    return {c.effect.name for c in free for one in pair if _declared(c, one) or _are_drags(c, one)}
+
+
+def _are_drags(one: Candidate, other: Candidate) -> bool:
+    return one.effect.resists_air and other.effect.resists_air
+
+
+def _alike(one: Candidate, other: Candidate) -> bool:
     """Whether both act on single rotors, or the catalogue declares that they look alike."""
-    declared = one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
-    return declared or (one.effect.per_rotor and other.effect.per_rotor)
+    return _declared(one, other) or (one.effect.per_rotor and other.effect.per_rotor)
+
+
+def _declared(one: Candidate, other: Candidate) -> bool:
+    return one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
 
 
 def decided_rivals(

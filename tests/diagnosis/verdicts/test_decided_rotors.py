@@ -79,3 +79,20 @@ def test_a_weak_rotor_and_a_misread_speed_that_cancel_are_neither():
     (named,) = diagnosis.effects
     assert "inertia" in (named.name, *named.ambiguous_with)
     assert named.rotor is None
+
+
+def test_a_drag_of_the_body_beside_a_damping_is_a_drag_at_the_rotors(tmp_path):
+    """Rotors that drag where they are brake the vehicle's turning, too."""
+    hidden = {"rotor_drag": {"coefficient": 3e-5}}
+    campaign = Campaign(hidden, {}, Recorder(), False, True, 5, SEEDS["x"])
+    (truths,) = flown([campaign])
+    write_campaign(campaign, truths, tmp_path)
+    vehicle = read_vehicle(tmp_path / "vehicle.toml")
+    data = read_dataset(sorted(map(str, tmp_path.glob("*.csv"))), vehicle)
+    some = {n: CATALOGUE[n] for n in ("rotor_drag", "linear_drag", "rotational_damping", "imu_bias", "gyro_bias")}
+    made = make_regression(vehicle, some, data.fitted, data.flight_of)
+    by_key = {c.key: c for c in made.candidates}
+    apart = [by_key["linear_drag"], by_key["rotational_damping"]]
+    assert [c.key for c in merged_pairs(made, apart, vehicle)] == ["rotor_drag"]
+    kept = [by_key["rotor_drag"], by_key["imu_bias"]]
+    assert merged_pairs(made, kept, vehicle) == kept
