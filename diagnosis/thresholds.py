@@ -660,6 +660,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_chi_square: reduced, of a typical held-out window. [planted truth]
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
+    min_over_gust: the same over floor and gust together, where one is named. [benchmarks/verdicts.py: gusts alone leave
+    up to 0.9]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [margins: neither]
     max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that
     much is twice the floor]
@@ -674,6 +676,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_line_swinging: Score = 30.0
     max_chi_square: Factor = 1.5
     min_over_floor: Score = 0.2
+    min_over_gust: Score = 1.25
     max_share: Share = 0.03
     max_excused: Score = 1.75
     max_gust_predictable: Share = 0.35

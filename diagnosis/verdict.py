@@ -179,8 +179,8 @@ def rejections(
     after, before: residual tests with the effects and without them.
     chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
         be predicted on wild flights.
-    gusty: whether a gust is among the effects; residuals are then allowed. That the state or the position predicts
-        them has refused the gust before (`gust_refusal`).
+    gusty: whether a gust is among the effects. What it leaves is compared with it then (`run_residual_tests`), and must
+        exceed it. That the state or the position predicts residuals has refused the gust before (`gust_refusal`).
     """
     sizes = after.statistics
 
@@ -191,21 +191,23 @@ def rejections(
 
     max_line = thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging
     limits = {"spectral_line": max(max_line, after.line_by_chance)}
-    if not gusty:
-        for test, lowest, earlier in (
-            ("low_frequency_agreement", thresholds.max_agreement, before.low_frequency_agreement),
-            ("predictable_from_state", thresholds.max_predictable, before.predictable_from_state),
-        ):
-            limits[test] = limit(lowest, earlier, after.over_floor(test))
-        limits["position_dependent"] = thresholds.max_predictable
-        if chi_squares is not None:
-            sizes["typical_window"] = chi_squares[1]
-            over_floor = np.sqrt(max(chi_squares[1] - 1, 0.0))
-            limits["typical_window"] = limit(thresholds.max_chi_square, chi_squares[0], over_floor)
+    for test, lowest, earlier in (
+        ("low_frequency_agreement", thresholds.max_agreement, before.low_frequency_agreement),
+        ("predictable_from_state", thresholds.max_predictable, before.predictable_from_state),
+    ):
+        limits[test] = limit(lowest, earlier, after.over_floor(test))
+    limits["position_dependent"] = thresholds.max_predictable
+    if chi_squares is not None:
+        sizes["typical_window"] = chi_squares[1]
+        over_floor = np.sqrt(max(chi_squares[1] - 1, 0.0))
+        limits["typical_window"] = limit(thresholds.max_chi_square, chi_squares[0], over_floor)
+
+    def matters(test: str) -> bool:
+        in_air = gusty and test != "spectral_line"
+        return after.over_floor(test) > (thresholds.min_over_gust if in_air else thresholds.min_over_floor)
+
     return tuple(
-        Rejection(test, sizes[test], limit)
-        for test, limit in limits.items()
-        if sizes[test] > limit and after.over_floor(test) > thresholds.min_over_floor
+        Rejection(test, sizes[test], limit) for test, limit in limits.items() if sizes[test] > limit and matters(test)
     )
 
 

@@ -16,7 +16,6 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.alternatives import decided_rivals, merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
@@ -25,8 +24,8 @@ from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import look_alikes, near_rivals, resample_share, rivals_of
-from diagnosis.selection.search import Search, Selection
+from diagnosis.selection.rivals import look_alikes, resample_share, rivals_of
+from diagnosis.selection.search import Search
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
@@ -51,98 +50,6 @@ class Accepted:
     floor: Floats
 
 
-def accepted_fit(
-    regression: Regression, selection: Selection, dataset: Dataset, vehicle: Vehicle | None = None
-) -> Accepted:
-    """Of the selected effects those that held-out flights bear out, fitted jointly on the others.
-
-    vehicle: that lacks them, by default the regression's. Its own effects are fitted again beside them, since they
-    were fitted without them and may have absorbed a part of them.
-    """
-    lacking = regression.vehicle if vehicle is None else vehicle
-    decided = on_decided_rotors(regression, selection.chosen.candidates, lacking)
-    chosen, worse = decided_rivals(regression, merged_pairs(regression, decided, lacking), lacking)
-    accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
-    preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
-    if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
-        own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
-        accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
-    accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
-    return _with_damage_before_sensors(regression, accepted, dataset, lacking)
-
-
-def _with_rivals_of_refused(
-    regression: Regression, accepted: Accepted, chosen: Sequence[Candidate], dataset: Dataset, vehicle: Vehicle
-) -> Accepted:
-    """The same with a near rival in place of each selected effect that made a kind of channel worse, where it holds.
-
-    A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone.
-    """
-    search, max_rivals = Search(regression), regression.thresholds.acceptance.max_rivals
-    spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
-    for candidate in [c for c in chosen if c.identity in spoiling]:
-        others = list(accepted.fit.candidates)
-        rivals = [rival.candidates[-1] for rival in near_rivals(search, others, rivals_of(search, others, candidate))]
-        for rival in [r for r in rivals if r.identity not in spoiling][:max_rivals]:
-            trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
-            if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
-                accepted = _with_judged_again(regression, trial, candidate, chosen, dataset, vehicle)
-                break
-    return accepted
-
-
-def _with_judged_again(
-    regression: Regression,
-    accepted: Accepted,
-    spoiling: Candidate,
-    chosen: Sequence[Candidate],
-    dataset: Dataset,
-    vehicle: Vehicle,
-) -> Accepted:
-    """The same with what was refused after a candidate that a rival has replaced, where it holds beside the rival.
-
-    While neither was in the model its error was open, beside which chance makes a kind of channel worse.
-    """
-    order = [(one.name, one.rotor) for one in accepted.refused]
-    later = set(order[order.index(spoiling.identity) + 1 :])
-    taken = {c.identity for c in accepted.fit.candidates}
-    again = [c for c in chosen if c.identity in later - taken]
-    if not again:
-        return accepted
-    earlier = [one for one in accepted.refused if (one.name, one.rotor) not in {c.identity for c in again}]
-    trial = judged_fit(regression, [*accepted.fit.candidates, *again], dataset, vehicle, refused=earlier)
-    return trial if set(accepted.fit.keys) < set(trial.fit.keys) else accepted
-
-
-def _with_damage_before_sensors(
-    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
-) -> Accepted:
-    """The same with a rotor that lost thrust in place of its speed sensor, where these flights cannot tell which.
-
-    Propellers break, and a count of revolutions does not err by a few percent; whoever changes the sensor flies the
-    broken propeller again. Sensors that read too low are told apart: no rotor gains thrust.
-    """
-    for candidate in [c for c in accepted.fit.candidates if c.effect.acts_on == "rotor_speed_reading"]:
-        others = [c for c in accepted.fit.candidates if c is not candidate]
-        damaged = next(
-            (
-                c
-                for c in regression.candidates
-                if c.effect.lost_thrust
-                and c.rotor == candidate.rotor
-                and c.effect.name in candidate.effect.confounded_with
-                and all(c.key != other.key for other in others)
-            ),
-            None,
-        )
-        if damaged is not None:
-            trial = judged_fit(regression, [*others, damaged], dataset, vehicle, refused=accepted.refused)
-            level = accepted.fit.chi_square * regression.thresholds.acceptance.max_redundant_ratio
-            if {damaged.key, *(c.key for c in others)} <= set(trial.fit.keys) and trial.fit.chi_square <= level:
-                accepted = trial
-    return accepted
-
-
 def judged_fit(
     regression: Regression,
     candidates: Sequence[Candidate],
@@ -153,7 +60,7 @@ def judged_fit(
     resampled: bool = True,
     small: Collection[str] = (),
 ) -> Accepted:
-    """The same of certain effects, whatever their rivals.
+    """Of certain effects those that held-out flights bear out, fitted jointly on the others, whatever their rivals.
 
     refused: effects that have been refused before. resampled: whether most flight resamples must agree. small: keys of
     those that may be too small on what is held out if they matter on the fitted flights.
@@ -428,10 +335,14 @@ def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -
     """Standard deviations by which an effect's size differs from none, or from the vehicle file's own value.
 
     Over all parameters in which the effect is linear together; 2 is a probability of 95 %. The others, such as the
-    length of a line, are as fitted: how large they are is no doubt that there is an effect.
+    length of a line, are as fitted: how large they are is no doubt that there is an effect. A rotor that lost torque
+    alone is no rotor that lost thrust, whatever the torque.
     """
     values, neutral = list(best.estimates.values()), neutral_values(best, candidate, vehicle)
     places = list(neutral)
+    if candidate.effect.lost_thrust:
+        place = list(best.estimates).index((candidate.key, candidate.effect.lost_thrust))
+        return float(abs(values[place].value - neutral[place]) / max(values[place].std, 1e-300))
     if not places:
         return 0.0
     distance = np.array([values[i].value - neutral[i] for i in places])

@@ -33,7 +33,7 @@ class Finding:
     test: its name, that of the statistic.
     channel: place among the twelve.
     rms: of the part of the residual that the test finds, in the channel's unit.
-    over_floor: the same over the channel's floor.
+    over_floor: the same over the channel's floor, and over what a gust leaves there, where one is named.
     part: (m,) that part of each segment.
     frequency: of a line, Hz.
     """
@@ -90,11 +90,15 @@ class ResidualTests:
         return self.findings[test].over_floor if test in self.findings else 0.0
 
 
-def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_position: bool = False) -> ResidualTests:
+def run_residual_tests(
+    regression: Regression, rows: Sequence[Floats], *, by_position: bool = False, gust: Floats | None = None
+) -> ResidualTests:
     """Tests of residuals (m, 12) of the regression's segments.
 
-    by_position: whether to test what repeats at the same positions, which a gust does not.
+    by_position: whether to test what repeats at the same positions, which a gust does not. gust: (12,) RMS that one has
+    in each channel, which belongs to the floor with which findings are compared.
     """
+    floor = regression.noise.floor if gust is None else np.hypot(regression.noise.floor, gust)
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
     states = [_state(s) for s in regression.segments]
     features = _features(states, thresholds.state_fineness, thresholds.features)
@@ -108,7 +112,7 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     ]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
-    findings = [_largest("predictable_from_state", best.parts, regression.noise.floor)]
+    findings = [_largest("predictable_from_state", best.parts, floor)]
     repeating = 0.0
     if by_position:
         positions = [s.smooth[s.decimated, POSITION] for s in regression.segments]
@@ -117,8 +121,8 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         of_halves = _predictable(regression, features, parts, range(len(parts)))
         repeating = of_halves.gain
         of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.parts.items()}
-        findings.append(_largest("position_dependent", of_place, regression.noise.floor))
-    line, by_chance, tone = _line(rows, regression, thresholds)
+        findings.append(_largest("position_dependent", of_place, floor))
+    line, by_chance, tone = _line(rows, regression, floor, thresholds)
     return ResidualTests(
         low_frequency_agreement=_slow_agreement(rows, regression, thresholds),
         predictable_from_state=predictable / total,
@@ -126,7 +130,9 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         line_by_chance=by_chance,
         position_dependent=repeating / total,
         findings={
-            one.test: one for one in (*findings, _slow_force(rows, regression, thresholds), tone) if one is not None
+            one.test: one
+            for one in (*findings, _slow_force(rows, regression, floor, thresholds), tone)
+            if one is not None
         },
     )
 
@@ -183,7 +189,9 @@ def _excess_of_few(low: int, reference: int, thresholds: ResidualTestThresholds)
     return max(1.0, here / there)
 
 
-def _slow_force(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> Finding | None:
+def _slow_force(
+    rows: Sequence[Floats], regression: Regression, floor: Floats, thresholds: ResidualTestThresholds
+) -> Finding | None:
     """The slow part that accelerometer and pose share, or of a torque, beyond what their noise leaves there."""
     rate, (low, reference) = regression.rate, (thresholds.low_band, thresholds.reference_band)
     slow, middle = ([_band(r, rate, band) for r in rows] for band in (low, reference))
@@ -197,17 +205,17 @@ def _slow_force(rows: Sequence[Floats], regression: Regression, thresholds: Resi
             common, noise = (float(np.mean(np.vstack(x)[:, channel] * np.vstack(x)[:, other])) for x in (slow, middle))
             size = np.sqrt(max(0.0, common - max(noise, 0.0) * share - allowed[channel]))
             parts[channel] = (size, tuple((x[:, channel] + x[:, other]) / 2 for x in slow))
-    return _largest("low_frequency_agreement", parts, regression.noise.floor)
+    return _largest("low_frequency_agreement", parts, floor)
 
 
 def _line(
-    rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds
+    rows: Sequence[Floats], regression: Regression, floor: Floats, thresholds: ResidualTestThresholds
 ) -> tuple[float, float, Finding | None]:
     """The strongest line's power over its surroundings, that of chance where it matters, and the line itself."""
     line = strongest_line(rows, regression.rate, thresholds)
     matters = line.over_surroundings > regression.thresholds.verdict.max_line
     by_chance = line_by_chance(rows, regression.rate, thresholds) if matters else 0.0
-    finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, regression.noise.floor)
+    finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, floor)
     shown = None if finding is None else replace(finding, frequency=line.frequency)
     return line.over_surroundings, by_chance, shown
 

@@ -243,13 +243,13 @@ class Search:
         Else the grid of one effect that fails, which a single flight shows, takes the place of all others.
         """
         limits = self.thresholds
-        present, seen = {c.identity for c in chosen.candidates}, Counter[frozenset[tuple[str, int | None]]]()
+        present, counts = {c.identity for c in chosen.candidates}, Counter[frozenset[tuple[str, int | None]]]()
         for trial in trials:
             new = frozenset(c.identity for c in trial.candidates) - present if limits.diverse else frozenset()
-            if seen[new] < (limits.max_variants if limits.diverse else limits.max_trials):
-                seen[new] += 1
+            if counts[new] < (limits.max_variants if limits.diverse else limits.max_trials):
+                counts[new] += 1
                 yield trial
-            if len(seen) > limits.max_trials:
+            if len(counts) > limits.max_trials:
                 return
 
     def _allowed(self, scored: Scored) -> bool:

@@ -114,6 +114,13 @@ def test_a_gust_may_leave_slow_residuals():
     assert verdict([ALONE], after=results(20.0, line=11.0), gusty=True) == "unknown"
 
 
+def test_a_weak_gust_excuses_nothing_that_is_larger_than_itself():
+    """Air of 0.01 m/s was named beside torques of five times the floor, and with it every test was silent."""
+    for after in (results(20.0, over_floor=2.3), results(state=1.5, over_floor=4.8)):
+        assert verdict([ALONE], after=after, gusty=True) == "unknown"
+    assert verdict([ALONE], after=results(over_floor=2.0), chi_squares=(9.0, 4.0), gusty=True) == "unknown"
+
+
 def test_what_state_or_place_predict_is_no_gust(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
     air = Gust(float(of_all.total), 100.0, 0.5, 0.01, 1.0, effect=CATALOGUE["gust"])

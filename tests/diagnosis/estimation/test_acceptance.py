@@ -8,7 +8,8 @@ import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation import acceptance
-from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds, judged_fit
+from diagnosis.estimation.acceptance import Accepted, at_its_bounds, deviations_from_neutral, judged_fit
+from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.held_out import HeldOut
@@ -138,6 +139,17 @@ def test_a_parameter_at_a_bound_stands_in_for_something_else(arpl_250g):
     assert at_its_bounds(fitted(0.0), positive, arpl_250g) == "size"
     own = arpl_250g.with_effects(EffectUse("a", {"size": 0.5}))
     assert at_its_bounds(fitted(0.0), positive, own) is None  # the file names an effect that does not exist
+
+
+def test_a_rotor_that_lost_torque_alone_is_no_rotor_that_lost_thrust(arpl_250g):
+    """One stood in for a torque constant, beside effects that the flights show well."""
+    weak = dataclasses.replace(candidate(CATALOGUE["weak_rotor"], 0, 1), rotor=2)
+    estimates = {
+        (weak.key, "loss"): ParameterEstimate(0.0005, 0.001, "1"),
+        (weak.key, "torque_loss"): ParameterEstimate(0.32, 0.01, "1"),
+    }
+    of_torque = Fit(arpl_250g, estimates, (weak,), np.diag([0.001**2, 0.01**2]))
+    assert deviations_from_neutral(of_torque, weak, arpl_250g) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("held_out_ratio", "accepted"), [(1.05, ["mass"]), (1.0, [])])

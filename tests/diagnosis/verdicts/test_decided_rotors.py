@@ -94,5 +94,5 @@ def test_a_drag_of_the_body_beside_a_damping_is_a_drag_at_the_rotors(tmp_path):
     by_key = {c.key: c for c in made.candidates}
     apart = [by_key["linear_drag"], by_key["rotational_damping"]]
     assert [c.key for c in merged_pairs(made, apart, vehicle)] == ["rotor_drag"]
-    kept = [by_key["rotor_drag"], by_key["imu_bias"]]
-    assert merged_pairs(made, kept, vehicle) == kept
+    drag_and_bias = [by_key["rotor_drag"], by_key["imu_bias"]]
+    assert merged_pairs(made, drag_and_bias, vehicle) == drag_and_bias

@@ -98,8 +98,8 @@ def test_thrust_at_its_limits_is_no_disturbance(arpl_250g: Vehicle, height: floa
     """A height that steps away needs more thrust than there is, or less than the least."""
     flight = flight_of(arpl_250g, wind=True, height=8.0)
     rotors = arpl_250g.rotors
-    least = rotors.thrust_max * (MIN_SPEED * arpl_250g.hover_speed / rotors.speed_max) ** 2  # N
-    limit = flight.thrust_map.setpoint(least) if slowest else 1.0
+    min_thrust = rotors.thrust_max * (MIN_SPEED * arpl_250g.hover_speed / rotors.speed_max) ** 2  # N
+    limit = flight.thrust_map.setpoint(min_thrust) if slowest else 1.0
     flight.run(30.0, until=Phase.TRACK)
     flight.run(4.0)
     before = len(flight.story.decisions)

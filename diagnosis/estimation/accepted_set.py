@@ -1,0 +1,164 @@
+"""The set of effects that is named: what was selected, with those rivals in place that need less, or leave less.
+
+Held-out flights judge each set (`diagnosis.estimation.acceptance`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from diagnosis.data.dataset import Dataset
+from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, judged_fit
+from diagnosis.estimation.alternatives import decided_rivals, merged_pairs, on_decided_rotors
+from diagnosis.estimation.equation_error import beyond_feedback, fit
+from diagnosis.estimation.held_out import HeldOut
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.search import Search, Selection
+from dynamics.vehicle import Vehicle
+
+
+def accepted_fit(
+    regression: Regression, selection: Selection, dataset: Dataset, vehicle: Vehicle | None = None
+) -> Accepted:
+    """Of the selected effects those that held-out flights bear out, fitted jointly on the others.
+
+    vehicle: that lacks them, by default the regression's. Its own effects are fitted again beside them, since they
+    were fitted without them and may have absorbed a part of them.
+    """
+    lacking = regression.vehicle if vehicle is None else vehicle
+    decided = on_decided_rotors(regression, selection.chosen.candidates, lacking)
+    chosen, worse = decided_rivals(regression, merged_pairs(regression, decided, lacking), lacking)
+    accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
+    preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
+    if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
+        own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
+        accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
+    accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
+    accepted = _with_rivals_that_need_less(regression, accepted, dataset, lacking)
+    return _with_damage_before_sensors(regression, accepted, dataset, lacking)
+
+
+def _with_rivals_of_refused(
+    regression: Regression, accepted: Accepted, chosen: Sequence[Candidate], dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with a near rival in place of each selected effect that made a kind of channel worse, where it holds.
+
+    A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone.
+    """
+    search, max_rivals = Search(regression), regression.thresholds.acceptance.max_rivals
+    spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
+    for candidate in [c for c in chosen if c.identity in spoiling]:
+        others = list(accepted.fit.candidates)
+        rivals = [rival.candidates[-1] for rival in near_rivals(search, others, rivals_of(search, others, candidate))]
+        for rival in [r for r in rivals if r.identity not in spoiling][:max_rivals]:
+            trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
+            if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
+                accepted = _with_judged_again(regression, trial, candidate, chosen, dataset, vehicle)
+                break
+    return accepted
+
+
+def _with_judged_again(
+    regression: Regression,
+    accepted: Accepted,
+    spoiling: Candidate,
+    chosen: Sequence[Candidate],
+    dataset: Dataset,
+    vehicle: Vehicle,
+) -> Accepted:
+    """The same with what was refused after a candidate that a rival has replaced, where it holds beside the rival.
+
+    While neither was in the model its error was open, beside which chance makes a kind of channel worse.
+    """
+    order = [(one.name, one.rotor) for one in accepted.refused]
+    later = set(order[order.index(spoiling.identity) + 1 :])
+    taken = {c.identity for c in accepted.fit.candidates}
+    again = [c for c in chosen if c.identity in later - taken]
+    if not again:
+        return accepted
+    earlier = [one for one in accepted.refused if (one.name, one.rotor) not in {c.identity for c in again}]
+    trial = judged_fit(regression, [*accepted.fit.candidates, *again], dataset, vehicle, refused=earlier)
+    return trial if set(accepted.fit.keys) < set(trial.fit.keys) else accepted
+
+
+def _with_rivals_that_need_less(
+    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with near rivals in place of effects where the full model fits better, or as well with fewer others.
+
+    A thrust constant acts on force and moments, a mass on the force alone: the one beside the inertia that undoes its
+    moments is the other. Turbulence lets the fit of an inertia gain more than further coefficients cost, so that what
+    is left of it beside the right one decides. Where much is unexplained, nothing does.
+    """
+    held_out, tried = HeldOut(regression, dataset.held_out), set[frozenset[str]]()
+    while len(accepted.fit.keys) > 1 and accepted.fit.chi_square <= regression.thresholds.search.still_explained:
+        for keys, candidates in _fitted_rivals(regression, accepted, vehicle, tried):
+            trial = judged_fit(regression, candidates, dataset, vehicle, refused=accepted.refused)
+            if set(trial.fit.keys) == keys and (
+                len(keys) < len(accepted.fit.keys)
+                or not held_out.worse_channels(accepted.fit.vehicle, trial.fit.vehicle)
+            ):
+                accepted = trial
+                break
+        else:
+            break
+    return accepted
+
+
+def _fitted_rivals(
+    regression: Regression, accepted: Accepted, vehicle: Vehicle, tried: set[frozenset[str]]
+) -> Iterator[tuple[set[str], Sequence[Candidate]]]:
+    """Sets with a near rival in place of an effect that fit better, or as well and leave nothing of others.
+
+    Each with the keys of those of which something is left. tried: sets that were fitted, of which none comes again.
+    """
+    limits, search, own = regression.thresholds, Search(regression), accepted.fit.candidates
+    level = fit(regression, own, vehicle=vehicle).chi_square
+    for candidate in own:
+        others = [c for c in own if c is not candidate]
+        near = near_rivals(search, others, rivals_of(search, others, candidate))[: limits.acceptance.max_rivals]
+        for candidates in (rival.candidates for rival in near):
+            if (keys := frozenset(c.key for c in candidates)) in tried:
+                continue
+            tried.add(keys)
+            trial = fit(regression, candidates, vehicle=vehicle)
+            ratio, alike = trial.chi_square / level, limits.acceptance.max_redundant_ratio
+            if trial.unsettled or ratio > alike:
+                continue
+            slow = beyond_feedback(regression, trial, vehicle)
+            sure = {
+                c.key for c in candidates if deviations_from_neutral(slow, c, vehicle) >= limits.relevance.deviations
+            }
+            if candidates[-1].key in sure and (len(sure) < len(keys) or ratio * alike < 1):
+                yield sure, candidates
+
+
+def _with_damage_before_sensors(
+    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with a rotor that lost thrust in place of its speed sensor, where these flights cannot tell which.
+
+    Propellers break, and a count of revolutions does not err by a few percent; whoever changes the sensor flies the
+    broken propeller again. Sensors that read too low are told apart: no rotor gains thrust.
+    """
+    for candidate in [c for c in accepted.fit.candidates if c.effect.acts_on == "rotor_speed_reading"]:
+        others = [c for c in accepted.fit.candidates if c is not candidate]
+        damaged = next(
+            (
+                c
+                for c in regression.candidates
+                if c.effect.lost_thrust
+                and c.rotor == candidate.rotor
+                and c.effect.name in candidate.effect.confounded_with
+                and all(c.key != other.key for other in others)
+            ),
+            None,
+        )
+        if damaged is not None:
+            trial = judged_fit(regression, [*others, damaged], dataset, vehicle, refused=accepted.refused)
+            level = accepted.fit.chi_square * regression.thresholds.acceptance.max_redundant_ratio
+            if {damaged.key, *(c.key for c in others)} <= set(trial.fit.keys) and trial.fit.chi_square <= level:
+                accepted = trial
+    return accepted
