@@ -37,7 +37,7 @@ from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_c
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
-from diagnosis.selection.gust import signal_of
+from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
@@ -267,7 +267,7 @@ class _Judgement:
         tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
         refused = gust_refusal(regression, selection, tests, regression.thresholds.verdict)
         gusty = selection.gust_detected and refused is None
-        if gusty and (gust := signal_of(selection.gust, regression)) is not None:
+        if gusty and (gust := turbulence_of(selection.gust, regression)) is not None:
             tests = run_residual_tests(regression, fitted, by_position=True, gust=gust)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
