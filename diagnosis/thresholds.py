@@ -379,7 +379,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     explained: reduced chi-square of the fitted flights at which no further round is needed. [margins: neither]
     unexplained: reduced chi-square of the last round's fit above which the search begins again in still air, where a
     gust stood in for a drag. [definition: twice the noise]
-    still_explained: of that search, up to which it counts. [definition: that of a typical window that is explained]
+    still_explained: of that search, up to which it counts, and of named effects, up to which rivals that need less are
+    sought. [definition: that of a typical window that is explained]
     max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
     search goes fewer steps. [margins: neither]
     max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search

@@ -339,14 +339,12 @@ def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -
     alone is no rotor that lost thrust, whatever the torque.
     """
     values, neutral = list(best.estimates.values()), neutral_values(best, candidate, vehicle)
-    places = list(neutral)
-    if candidate.effect.lost_thrust:
-        place = list(best.estimates).index((candidate.key, candidate.effect.lost_thrust))
-        return float(abs(values[place].value - neutral[place]) / max(values[place].std, 1e-300))
+    names, lost = [name for _, name in best.estimates], candidate.effect.lost_thrust
+    places = [i for i in neutral if lost in ("", names[i])]
     if not places:
         return 0.0
     distance = np.array([values[i].value - neutral[i] for i in places])
-    others = [i for i in best.of(candidate) if i not in places]
+    others = [i for i in best.of(candidate) if i not in neutral]
     covariance = best.covariance[np.ix_(places, places)]
     if others:
         across = best.covariance[np.ix_(places, others)]

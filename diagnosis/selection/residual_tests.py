@@ -33,7 +33,7 @@ class Finding:
     test: its name, that of the statistic.
     channel: place among the twelve.
     rms: of the part of the residual that the test finds, in the channel's unit.
-    over_floor: the same over the channel's floor, and over what a gust leaves there, where one is named.
+    over_floor: the same over the floor of the channel, and of all but a line over what a named gust leaves there, too.
     part: (m,) that part of each segment.
     frequency: of a line, Hz.
     """
@@ -96,7 +96,7 @@ def run_residual_tests(
     """Tests of residuals (m, 12) of the regression's segments.
 
     by_position: whether to test what repeats at the same positions, which a gust does not. gust: (12,) RMS that one has
-    in each channel, which belongs to the floor with which findings are compared.
+    in each channel, which belongs to the floor with which findings but the line are compared: air has no line.
     """
     floor = regression.noise.floor if gust is None else np.hypot(regression.noise.floor, gust)
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
@@ -122,7 +122,7 @@ def run_residual_tests(
         repeating = of_halves.gain
         of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.parts.items()}
         findings.append(_largest("position_dependent", of_place, floor))
-    line, by_chance, tone = _line(rows, regression, floor, thresholds)
+    line, by_chance, tone = _line(rows, regression, thresholds)
     return ResidualTests(
         low_frequency_agreement=_slow_agreement(rows, regression, thresholds),
         predictable_from_state=predictable / total,
@@ -209,13 +209,13 @@ def _slow_force(
 
 
 def _line(
-    rows: Sequence[Floats], regression: Regression, floor: Floats, thresholds: ResidualTestThresholds
+    rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds
 ) -> tuple[float, float, Finding | None]:
     """The strongest line's power over its surroundings, that of chance where it matters, and the line itself."""
     line = strongest_line(rows, regression.rate, thresholds)
     matters = line.over_surroundings > regression.thresholds.verdict.max_line
     by_chance = line_by_chance(rows, regression.rate, thresholds) if matters else 0.0
-    finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, floor)
+    finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, regression.noise.floor)
     shown = None if finding is None else replace(finding, frequency=line.frequency)
     return line.over_surroundings, by_chance, shown
 

@@ -150,6 +150,7 @@ def test_a_rotor_that_lost_torque_alone_is_no_rotor_that_lost_thrust(arpl_250g):
     }
     of_torque = Fit(arpl_250g, estimates, (weak,), np.diag([0.001**2, 0.01**2]))
     assert deviations_from_neutral(of_torque, weak, arpl_250g) == pytest.approx(0.5)
+    assert deviations_from_neutral(Fit(arpl_250g, {}, (weak,)), weak, arpl_250g) == 0.0  # nothing of it was fitted
 
 
 @pytest.mark.parametrize(("held_out_ratio", "accepted"), [(1.05, ["mass"]), (1.0, [])])

@@ -136,6 +136,16 @@ def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise)
     assert type(tone.rms) is type(tone.over_floor) is float  # as JSON holds it
 
 
+def test_a_gust_raises_the_floor_of_all_findings_but_the_line(of_noise):
+    of_all, rows = of_noise(0)
+    still, gusty = (run_residual_tests(of_all, rows, gust=air) for air in (None, np.sqrt(3.0) * of_all.noise.floor))
+    for name, finding in still.findings.items():
+        ratio = 1.0 if name == "spectral_line" else 2.0
+        assert ratio * gusty.over_floor(name) == pytest.approx(finding.over_floor), name
+    assert "spectral_line" in still.findings
+    assert len(still.findings) > 1
+
+
 def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
     of_all, rows = of_noise(0)
     for y, segment in zip(rows, segments, strict=True):
