@@ -94,7 +94,7 @@ class Leftover(msgspec.Struct, frozen=True):
     channel: in which this is largest, such as "imu x".
     size, threshold: of the test's statistic.
     rms: of the part of the residual that the test found, in unit.
-    over_floor: the same over the channel's floor.
+    over_floor: the same over the floor of the channel, with what a gust leaves there where one is named.
     frequency: of a line, Hz.
     seconds: where it is largest.
     regimes: cells in which it stands out, over its own mean.
