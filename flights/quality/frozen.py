@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,9 @@ from flights.quantities import MOTION, quantity_of
 
 NOISY = ("rate", "specific_force", "rotor_speed")  # sensors whose noise changes every sample
 NOISY_TIME = 2.0  # s for which they may keep a value
+FRESH_TIME = 0.25  # s for which a column may keep a value that otherwise changes much more often
+FRESH_SAMPLES = 5  # samples that this must be at least, of a quantity that is logged slowly
+REPEATED_SHARE = 1 / 3  # of that, for which its other values may be repeated, as those that were counted are
 WATCHED = (*MOTION, "rotor_speed", "rotor_command")
 
 ATTITUDE_RESOLUTION = 1e-3  # of a quaternion's component in coarse logs
@@ -22,9 +27,11 @@ def frozen_rows(flight: Flight) -> dict[str, NDArray[np.bool_]]:
     """(n,) rows in which a column of motion or rotors keeps one value for so long, by column, if there are any.
 
     Others of its quantity must change meanwhile. A column that never does counts as well, unless it is zero, as those
-    of simulated flights are that stay in a plane.
+    of simulated flights are that stay in a plane. A column that otherwise changes much more often may keep one for much
+    shorter, unless that is the largest or smallest that it has, where its range may end, or zero.
     """
     frozen: dict[str, NDArray[np.bool_]] = {}
+    moving = _moving(flight)
     for quantity in WATCHED:
         columns = {n: v for n, v in flight.columns.items() if (q := quantity_of(n)) is not None and q.name == quantity}
         varying = {name: _varies(values) for name, values in columns.items()}
@@ -37,9 +44,37 @@ def frozen_rows(flight: Flight) -> dict[str, NDArray[np.bool_]]:
             others = [other for other in columns if other != name]
             if quantity == "attitude" and _has_unit_length([columns[other][rows] for other in others]):
                 continue
-            if rows.any() and any(_varies(columns[other][rows]) for other in others):
+            if rows.any() and not any(_varies(columns[other][rows]) for other in others):
+                rows = np.zeros(len(values), dtype=bool)
+            rows |= _suddenly_constant(values, _fresh_rows(flight, quantity)) & moving
+            if rows.any():
                 frozen[name] = rows
     return frozen
+
+
+def _moving(flight: Flight) -> NDArray[np.bool_]:
+    """(n,) rows from or to which any column of motion changes."""
+    names = [n for n in flight.columns if (q := quantity_of(n)) is not None and q.name in MOTION]
+    changed = np.zeros(max(0, len(flight) - 1), dtype=bool)
+    for name in names:
+        changed |= np.abs(np.diff(flight.columns[name])) > 0.0
+    return np.asarray(np.concatenate([changed, [False]]) | np.concatenate([[False], changed]))
+
+
+def _fresh_rows(flight: Flight, quantity: str) -> int:
+    """Rows for which a quantity that changes often may keep a value."""
+    origin = flight.origins.get(quantity)
+    seconds = FRESH_TIME if origin is None else max(FRESH_TIME, FRESH_SAMPLES / origin.rate)
+    return max(FRESH_SAMPLES, round(seconds * flight.rate))
+
+
+def _suddenly_constant(values: Floats, min_rows: int) -> NDArray[np.bool_]:
+    """(n,) rows in runs of so many equal values, of a column that has none of a third of that in most of its rows."""
+    rows = _constant(values, min_rows)
+    if not 0.0 < np.mean(rows) < 0.5 or (_constant(values, math.ceil(REPEATED_SHARE * min_rows) + 1) & ~rows).any():
+        return np.zeros(len(values), dtype=bool)
+    finite = values[np.isfinite(values)]
+    return np.asarray(rows & ~np.isin(values, (0.0, float(np.min(finite)), float(np.max(finite)))))
 
 
 def frozen_findings(flight: Flight) -> list[Finding]:
@@ -49,7 +84,7 @@ def frozen_findings(flight: Flight) -> list[Finding]:
             "warning",
             "frozen_channel",
             f"{name} stands at {flight.columns[name][rows][0]:.6g} {flight.unit(name)} for "
-            f"{np.count_nonzero(rows) * flight.period:.0f} s, which are left out",
+            f"{np.count_nonzero(rows) * flight.period:.1f} s, which are left out",
             "it is no measurement there; check its sensor, and leave the column out until it works",
         )
         for name, rows in frozen_rows(flight).items()
