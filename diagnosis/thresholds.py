@@ -387,8 +387,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [margins: neither]
     max_trials: best additions that are cross-validated in one step. [margins: neither]
-    diverse: whether these are of different effects. [decisions: a search that ends unexplained begins again]
-    max_variants: trials with the same new effects in a diverse search. [margins: neither]
+    max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: where columns err the
+    one that leaves least is among five]
     max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
     min_contender_share: of the best score that a contender must have. [margins: neither]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
@@ -413,8 +413,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_pair_share: Share = 0.5
     max_paired: Count = 8
     max_trials: Count = 12
-    diverse: bool = False
-    max_variants: Count = 3
+    max_proposed: Count = 5
     max_contenders: Count = 5
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
@@ -517,6 +516,12 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
 
     max_steps: of Gauss-Newton. [margins: neither]
     max_cost_growth: factor on the cost beyond which a step is halved. [margins: neither]
+    damping: share of each parameter's information that is added first where Gauss-Newton does not go straight.
+        [convention: 1e-3 to 1e-2; the steps change it]
+    damping_factor: by which that grows after a step that fits worse, and falls after one that fits better.
+        [convention: ten]
+    max_damped: steps so damped. [decisions: twelve lead from any start that was tried]
+    min_damped_fall: share of the cost by which each of them must improve the fit. [decisions: instruments lead on]
     converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
     much takes 0.005 % off an interval's coverage]
     max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
@@ -539,6 +544,10 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
 
     max_steps: Count = 8
     max_cost_growth: Factor = 1.001
+    damping: Share = 0.01
+    damping_factor: Factor = 10.0
+    max_damped: Count = 12
+    min_damped_fall: Share = 0.01
     converged: Positive = 0.02
     max_unsettled: Positive = 1.0
     difference_step: Positive = 0.02

@@ -116,6 +116,7 @@ class _Trial:
             ]  # corrections of the file's effects first, all at once
             if not left:
                 left = [weakest]
+                refused = [one for one in refused if (one.name, one.rotor) != weakest.identity]  # by another set
                 refused.append(failure)
             best = self._fit([c for c in best.candidates if c not in left])
         agreement = {c.key: self._agreement(best, c) for c in best.candidates}

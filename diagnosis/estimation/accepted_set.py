@@ -5,7 +5,7 @@ Held-out flights judge each set (`diagnosis.estimation.acceptance`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, judged_fit
@@ -14,7 +14,7 @@ from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.rivals import near_rivals, rivals_of, to_fit
 from diagnosis.selection.search import Search, Selection
 from dynamics.vehicle import Vehicle
 
@@ -45,19 +45,33 @@ def _with_rivals_of_refused(
 ) -> Accepted:
     """The same with a near rival in place of each selected effect that made a kind of channel worse, where it holds.
 
-    A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone.
+    A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone. They
+    are tried first with all that was selected: what was refused after it may have failed for its sake.
     """
     search, max_rivals = Search(regression), regression.thresholds.acceptance.max_rivals
     spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
     for candidate in [c for c in chosen if c.identity in spoiling]:
-        others = list(accepted.fit.candidates)
-        rivals = [rival.candidates[-1] for rival in near_rivals(search, others, rivals_of(search, others, candidate))]
-        for rival in [r for r in rivals if r.identity not in spoiling][:max_rivals]:
+        sets = [[c for c in chosen if c is not candidate], list(accepted.fit.candidates)]
+        for others, rival in _rivals_in(search, sets, candidate, spoiling, max_rivals):
             trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
             if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
                 accepted = _with_judged_again(regression, trial, candidate, chosen, dataset, vehicle)
                 break
     return accepted
+
+
+def _rivals_in(
+    search: Search,
+    sets: Sequence[Sequence[Candidate]],
+    candidate: Candidate,
+    spoiling: Collection[tuple[str, int | None]],
+    count: int,
+) -> Iterator[tuple[Sequence[Candidate], Candidate]]:
+    """Near rivals of a candidate beside each of some sets, so many of each, none that spoils a channel itself."""
+    for others in sets:
+        near = near_rivals(search, others, rivals_of(search, others, candidate))
+        for scored in [s for s in near if s.candidates[-1].identity not in spoiling][:count]:
+            yield others, scored.candidates[-1]
 
 
 def _with_judged_again(
@@ -118,8 +132,8 @@ def _fitted_rivals(
     level = fit(regression, own, vehicle=vehicle).chi_square
     for candidate in own:
         others = [c for c in own if c is not candidate]
-        near = near_rivals(search, others, rivals_of(search, others, candidate))[: limits.acceptance.max_rivals]
-        for candidates in (rival.candidates for rival in near):
+        near = near_rivals(search, others, rivals_of(search, others, candidate))
+        for candidates in (rival.candidates for rival in to_fit(near, candidate, limits.acceptance.max_rivals)):
             if (keys := frozenset(c.key for c in candidates)) in tried:
                 continue
             tried.add(keys)

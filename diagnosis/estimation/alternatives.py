@@ -13,7 +13,7 @@ from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.refusal import Refused
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.rivals import akin, declared_alike, near_rivals, rivals_of, to_fit
 from diagnosis.selection.search import IMPOSSIBLE, Search, Set
 from dynamics.vehicle import Vehicle
 
@@ -97,20 +97,12 @@ def _like_either(search: Search, pair: Pair, chosen: Sequence[Candidate]) -> set
     """Effects that are not chosen, and that the catalogue declares to look like one of two, or that are drags, too."""
     taken = {c.effect.name for c in chosen}
     free = [c for c in search.regression.candidates if c.effect.name not in taken]
-    return {c.effect.name for c in free for one in pair if _declared(c, one) or _are_drags(c, one)}
-
-
-def _are_drags(one: Candidate, other: Candidate) -> bool:
-    return one.effect.resists_air and other.effect.resists_air
+    return {c.effect.name for c in free for one in pair if akin(c, one)}
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
     """Whether both act on single rotors, or the catalogue declares that they look alike."""
-    return _declared(one, other) or (one.effect.per_rotor and other.effect.per_rotor)
-
-
-def _declared(one: Candidate, other: Candidate) -> bool:
-    return one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
+    return declared_alike(one, other) or (one.effect.per_rotor and other.effect.per_rotor)
 
 
 def decided_rivals(
@@ -121,7 +113,7 @@ def decided_rivals(
     To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
     The fitted flights alone decide.
     """
-    thresholds = regression.thresholds.acceptance
+    limits, thresholds = regression.thresholds, regression.thresholds.acceptance
     search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
 
     def chi_square(candidates: Sequence[Candidate]) -> float:
@@ -129,16 +121,34 @@ def decided_rivals(
         return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
 
     for place in range(len(chosen)):
-        if place >= thresholds.leading and (level or chi_square(best)) < regression.thresholds.search.explained:
+        explained = place >= thresholds.leading and (level or chi_square(best)) < limits.search.explained
+        if explained:
             break
         others = [c for i, c in enumerate(best) if i != place]
         near = near_rivals(search, others, rivals_of(search, others, best[place]))
-        for rival in near[: thresholds.max_rivals]:
-            level = level or chi_square(best)
-            trial = [*best[:place], rival.candidates[-1], *best[place + 1 :]]
+        trials = [s.candidates[-1] for s in to_fit(near, best[place], thresholds.max_rivals)]
+        level = level or (chi_square(best) if trials else 0.0)
+        if level >= limits.search.explained:
+            trials += [kin for kin in _drags(search, others, best[place]) if kin not in trials]
+        for rival in trials:
+            trial = [*best[:place], rival, *best[place + 1 :]]
             trial_level = chi_square(trial)
             if thresholds.max_redundant_ratio * trial_level < level:
                 numbers = {"chi_square": level, "of_rival": trial_level}
                 refused.append(Refused(best[place].effect.name, best[place].rotor, "worse_than_rival", numbers))
                 best, level = trial, trial_level
     return best, refused
+
+
+def _drags(search: Search, others: Sequence[Candidate], chosen: Candidate) -> list[Candidate]:
+    """The other drags in place of one, those too that the columns hold for impossible.
+
+    Columns are linear about the vehicle that the search began with. Beside a centre of mass that is off and canted
+    rotors what a drag at the rotors adds to the moments is another thing, and its coefficient may come out negative.
+    """
+    taken = {chosen.effect.name, *(c.effect.name for c in others)}
+    return [
+        c
+        for c in search.regression.candidates
+        if c.effect.resists_air and chosen.effect.resists_air and c.effect.name not in taken
+    ]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.estimation.fit_equations import BlockRows, FitEquations, by_block, explained_by_biases, pooled
-from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, with_candidates
+from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, neutral_value, with_candidates
 from diagnosis.estimation.linear_rows import LinearRows
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate, scales_rotors
@@ -67,10 +67,11 @@ def _fitted(
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base, slower=slower)
-    values, last, left = _settle(problem, problem.start(start))
+    values, last, left = _settle_from_afar(problem, problem.start(start))
     chi_square = last.cost / regression.total
     if problem.reweigh(values):
-        values, last, left = _settle(problem, values)
+        again = _settle(problem, values)
+        values, last, left = again.values, again.last, again.left
         chi_square = problem.chi_square(values)
     covariance = last.covariance + np.outer(left, left)
     covariance += problem.clock_covariance(values, last)
@@ -173,18 +174,74 @@ class _Step:
         """Length of the change, over the standard deviations."""
         return float(np.linalg.norm(self.change / np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))))
 
+    def damped(self, damping: float) -> Floats:
+        """(k,) the change with such a share of its own information added to that of each parameter."""
+        added = self.information + damping * np.diag(np.abs(np.diag(self.information)))
+        return np.asarray(np.linalg.lstsq(added, self.information @ self.change, rcond=None)[0])
+
     def is_small(self, change: Floats, share: float) -> NDArray[np.bool_]:
         """(k,) whether a change is within a share of the standard deviations."""
         return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
 
 
-def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, Floats]:
-    """Values to which Gauss-Newton converges, the step from there, and (k,) what of it the bounds allow.
+def _settle_from_afar(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, Floats]:
+    """The same as `_settle`, where its way is not straight also from where damped steps lead, whichever fits better.
+
+    Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
+    run out: an inertia divides the moments, and one step makes it a fifth or five times as large.
+    """
+    first = _settle(problem, start)
+    if first.is_straight and not problem.at_bounds(first.values).any():
+        return first.values, first.last, first.left
+    again = _settle(problem, _damped(problem, start))
+    best = again if again.last.cost < first.last.cost else first
+    return best.values, best.last, best.left
+
+
+def _damped(problem: _EquationErrorProblem, start: Floats) -> Floats:
+    """Values to which steps lead that are damped until the fit gets better by each (Levenberg and Marquardt).
+
+    They end where it no longer does by much: near the minimum instruments lead elsewhere.
+    """
+    thresholds, values, here = problem.thresholds, start, problem.step(start)
+    damping = thresholds.damping
+    for _ in range(thresholds.max_damped):
+        if not np.isfinite(here.cost):
+            break
+        moved = problem.bounded(values, here.damped(damping))
+        there = problem.step(moved)
+        if not there.cost < here.cost:
+            damping *= thresholds.damping_factor
+            continue
+        damping /= thresholds.damping_factor
+        is_flat = there.cost > (1 - thresholds.min_damped_fall) * here.cost
+        values, here = moved, there
+        if is_flat:
+            break
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """Where Gauss-Newton has ended.
+
+    values: (k,). last: the step from there. left: (k,) what of it the bounds allow. is_straight: whether every step was
+    taken as it was, and the last one is small.
+    """
+
+    values: Floats
+    last: _Step
+    left: Floats
+    is_straight: bool
+
+
+def _settle(problem: _EquationErrorProblem, start: Floats) -> _Settled:
+    """Values to which Gauss-Newton converges.
 
     A step after which the fit is worse and the next step no smaller is halved: along a hidden state's parameters the
     fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum.
     """
-    thresholds, values = problem.thresholds, start
+    thresholds, values, is_straight = problem.thresholds, start, True
     here = problem.step(values)
     change = here.change
     for _ in range(thresholds.max_steps):
@@ -194,10 +251,12 @@ def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Ste
         there = problem.step(moved)
         grown = not there.cost <= thresholds.max_cost_growth * here.cost
         if grown and not (np.isfinite(there.cost) and there.deviations < here.deviations):
-            change = change / 2
+            change, is_straight = change / 2, False
             continue
         values, here, change = moved, there, there.change
-    return values, here, problem.bounded(values, here.change) - values
+    else:
+        is_straight = False
+    return _Settled(values, here, problem.bounded(values, here.change) - values, is_straight)
 
 
 class _EquationErrorProblem:
@@ -258,6 +317,12 @@ class _EquationErrorProblem:
         """Values after a step, within their bounds."""
         low, high = np.array(self.bounds).T
         return np.asarray(np.clip(values + step, low, high))
+
+    def at_bounds(self, values: Floats) -> NDArray[np.bool_]:
+        """(k,) whether a value is at a physical bound at which its effect does not vanish."""
+        low, high = np.array(self.bounds).T
+        neutral = np.array([neutral_value(c.effect, name) for c, name in self.free])
+        return np.asarray(((values <= low) | (values >= high)) & (values != neutral))
 
     def reweigh(self, values: Floats) -> bool:
         """Weigh each channel by what a fit leaves in it, where that is more than the noise; whether any weight changed.

@@ -116,6 +116,11 @@ def coefficients(fitted: Fit, candidate: Candidate) -> Floats:
     return np.array([fitted.estimates[candidate.key, name].value - candidate.at[name] for name in candidate.free])
 
 
+def neutral_value(effect: Effect, name: str) -> float:
+    """The value of an effect's parameter at which the effect vanishes."""
+    return next(p.neutral for p in effect.parameters if p.name == name)
+
+
 def bounds(effect: Effect, name: str) -> tuple[float, float]:
     """Physical bounds of an effect's parameter."""
     return next((p.lower, p.upper) for p in effect.parameters if p.name == name)

@@ -7,17 +7,15 @@ much is missing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import msgspec
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from diagnosis.estimation.alternatives import decided_rivals
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit
+from diagnosis.estimation.pursuit import about, pursue
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import about_fit
 from diagnosis.selection.search import IMPOSSIBLE, Search, Selection, select, select_from, select_in_still_air
 
 
@@ -25,8 +23,8 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
     """What is missing, and the regression about it: linear about the joint fit, in the gust that was detected.
 
     Where the full model leaves much, and a gust stood in for a drag, the search begins again in still air; what that
-    selects counts if it explains the flights. Where something is left then, it begins again with trials of more
-    different effects; what that selects counts if it leaves less, both with rivals that the full model prefers.
+    selects counts if it explains the flights. Where something is left then, the full model pursues it effect by
+    effect; what that selects counts if it leaves less, both with rivals that the full model prefers.
     """
     thresholds = regression.thresholds.search
     first = select(regression)
@@ -35,9 +33,11 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
         other = _explored(regression, still)
         best = other if other.chi_square <= thresholds.still_explained else best
     if best.chi_square > thresholds.explained:
-        again = _explored_diversely(regression)
-        required = regression.thresholds.acceptance.max_redundant_ratio * _decided_chi_square(again)
-        best = again if _decided_chi_square(best) > required else best
+        level = _decided_chi_square(best)
+        if level > thresholds.explained:
+            again = _pursued(regression, best, level)
+            required = regression.thresholds.acceptance.max_redundant_ratio * _decided_chi_square(again)
+            best = again if level > required else best
     return best.regression.in_gust(best.selection.gust_variance), best.selection
 
 
@@ -60,11 +60,17 @@ def _decided_chi_square(explored: _Explored) -> float:
     return fit(regression, decided).chi_square
 
 
-def _explored_diversely(regression: Regression) -> _Explored:
-    """Where the rounds lead with trials of more different effects in each step."""
-    search = msgspec.structs.replace(regression.thresholds.search, diverse=True)
-    again = replace(regression, thresholds=msgspec.structs.replace(regression.thresholds, search=search))
-    return _explored(again, select(again))
+def _pursued(regression: Regression, best: _Explored, level: float) -> _Explored:
+    """Where the pursuit leads, in the gust that is beside the best set so far unless that set leaves much.
+
+    level: reduced chi-square of that set.
+    """
+    explained = level <= regression.thresholds.search.still_explained
+    pursued = pursue(regression, best.selection.gust_variance if explained and best.selection.gust_detected else 0.0)
+    if pursued is None:
+        return best
+    selection = select_from(pursued.regression, pursued.candidates, best.selection, max_steps=0)
+    return _Explored(pursued.regression, selection, fit(pursued.regression, selection.chosen.candidates).chi_square)
 
 
 def _explored(regression: Regression, selection: Selection) -> _Explored:
@@ -81,11 +87,10 @@ def _explored(regression: Regression, selection: Selection) -> _Explored:
         is_done = is_explained and (number == 0 or not selection.gust_detected)
         if fitted.unsettled or is_done:
             break
-        values = fitted.values
-        held = about_values(own, fitted.candidates, values)
-        again = about_fit(regression, held, about_values(nuisances, nuisances, values))
+        again = about(regression, own, nuisances, fitted)
         if again is None:
             break
+        held = again.candidates
         regression, last = again, fitted
         selection, fitted = _trusted(regression, [c for c in held if c.fitted is not None], selection, last)
         if {c.key for c in selection.chosen.candidates} <= set(last.keys):
@@ -125,13 +130,3 @@ def _drags_in_wind(regression: Regression, selection: Selection) -> list[tuple[C
     pairs = [(drag, wind) for drag in drags for wind in winds]
     best = max(Search(regression).scores(pairs), key=lambda one: one.score, default=None)
     return [] if best is None or best.score < thresholds.min_gain else [best.candidates]
-
-
-def about_values(
-    own: Sequence[Candidate], fitted: Sequence[Candidate], values: Mapping[tuple[str, str], float]
-) -> tuple[Candidate, ...]:
-    """Candidates, those that were fitted about their values by (key, parameter). own: about the vehicle's own model."""
-    places = {c.columns for c in fitted}
-    return tuple(
-        c.about({n: v for (key, n), v in values.items() if key == c.key}) if c.columns in places else c for c in own
-    )

@@ -13,7 +13,10 @@ SEED = 0  # of the resamples, so that the same flights have the same answer
 
 
 def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) -> list[Scored]:
-    """The chosen effect first, then each other effect in its place at its best grid point, best first."""
+    """The chosen effect first, then each other effect in its place at its best grid point, best first.
+
+    Of the others the best ones, and of what is akin to the chosen one all.
+    """
     best: dict[str, Scored] = {}
     max_rivals = search.regression.thresholds.rivals.max_rivals
     taken = {chosen.effect.name, *(c.effect.name for c in others)}
@@ -22,7 +25,9 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
         name = scored.candidates[-1].effect.name
         if scored.score > IMPOSSIBLE and (name not in best or scored.score > best[name].score):
             best[name] = scored
-    return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:max_rivals]]
+    ranked = sorted(best.values(), key=lambda s: -s.score)
+    rivals = [s for i, s in enumerate(ranked) if i < max_rivals or akin(s.candidates[-1], chosen)]
+    return [search.score([*others, chosen]), *rivals]
 
 
 def alone(search: Search, others: Sequence[Candidate]) -> Scored:
@@ -39,6 +44,25 @@ def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Sc
     return [
         s for s in rivals[1:] if s.score > min_score(s.candidates, search.thresholds) and s.score > own.score - margin
     ]
+
+
+def to_fit(near: Sequence[Scored], chosen: Candidate, count: int) -> list[Scored]:
+    """Of the near rivals those that the full model should decide about: the nearest ones, and the nearest akin.
+
+    The columns of what acts on much else, a drag at the rotors beside a centre of mass that is off, err by more than
+    what tells it from its kin; anything may be nearer then.
+    """
+    return [*near[:count], *[s for s in near[count:] if akin(s.candidates[-1], chosen)][:count]]
+
+
+def akin(one: Candidate, other: Candidate) -> bool:
+    """Whether the catalogue declares that two effects look alike, or both are drags."""
+    return declared_alike(one, other) or (one.effect.resists_air and other.effect.resists_air)
+
+
+def declared_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether the catalogue declares that two effects look alike."""
+    return one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
 
 
 def look_alikes(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -228,7 +228,7 @@ class Search:
         if not worth_more:
             return None
         before = self.regression.cross_validated_gain(chosen.columns)
-        for trial in self._tried(chosen, sorted(worth_more, key=lambda s: -self.worth(s))):
+        for trial in sorted(worth_more, key=lambda s: -self.worth(s))[: self.thresholds.max_trials]:
             improvement = min(trial.score - chosen.score, trial.gain - chosen.gain)
             if improvement <= 0:  # fewer effects, for next to no loss
                 return trial
@@ -236,21 +236,6 @@ class Search:
             if shown > self.thresholds.min_cross_validated * improvement:
                 return trial
         return None
-
-    def _tried(self, chosen: Scored, trials: Sequence[Scored]) -> Iterator[Scored]:
-        """The best trials; of those that bring in the same effects the first few alone in a diverse search.
-
-        Else the grid of one effect that fails, which a single flight shows, takes the place of all others.
-        """
-        limits = self.thresholds
-        present, counts = {c.identity for c in chosen.candidates}, Counter[frozenset[tuple[str, int | None]]]()
-        for trial in trials:
-            new = frozenset(c.identity for c in trial.candidates) - present if limits.diverse else frozenset()
-            if counts[new] < (limits.max_variants if limits.diverse else limits.max_trials):
-                counts[new] += 1
-                yield trial
-            if len(counts) > limits.max_trials:
-                return
 
     def _allowed(self, scored: Scored) -> bool:
         return len(scored.candidates) <= self.thresholds.max_effects

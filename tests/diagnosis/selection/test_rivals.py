@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.selection.rivals import look_alikes, near_rivals, rivals_of
+from diagnosis.selection.rivals import look_alikes, near_rivals, rivals_of, to_fit
 from diagnosis.selection.search import IMPOSSIBLE, Search
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
 
@@ -89,3 +89,24 @@ def test_as_many_as_look_alike_are_declared(arpl_250g):
     search = Search(regression(arpl_250g, candidates, columns, rows, segments=segments))
     rivals = rivals_of(search, [], search.regression.candidates[0])
     assert sorted(names(near_rivals(search, [], rivals))) == ["b", "c", "d", "e"]
+
+
+def test_what_is_akin_is_fitted_however_many_are_nearer(arpl_250g):
+    """Seven of nine nearer effects are kept, two of them are fitted, and so is the one that is declared alike."""
+    random = np.random.default_rng(5)
+    columns = [random.standard_normal((80, CHANNELS, 11)) for _ in range(6)]
+    for x in columns:
+        for place in range(1, 11):
+            x[:, :, place] = x[:, :, 0] + (0.05 if place == 10 else 0.005) * x[:, :, place]
+    rows = [2.0 * x[:, :, 0] + random.standard_normal((80, CHANNELS)) for x in columns]
+    effects = [effect(name) for name in "abcdefghijk"]
+    effects[-1] = replace(effects[-1], confounded_with=("a",))
+    candidates = [candidate(one, i) for i, one in enumerate(effects)]
+    segments = hovering(arpl_250g, mass_ratio=1.0, seed=0)
+    search = Search(regression(arpl_250g, candidates, columns, rows, segments=segments))
+    a = search.regression.candidates[0]
+    rivals = rivals_of(search, [], a)
+    assert "k" in names(rivals)
+    assert len(rivals) == 1 + search.regression.thresholds.rivals.max_rivals + 1
+    near = near_rivals(search, [], rivals)
+    assert names(to_fit(near, a, 2)) == [*names(near)[:2], "k"]

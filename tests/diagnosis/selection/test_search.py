@@ -26,21 +26,6 @@ def test_a_planted_pair_is_named_with_the_stronger_one_first(arpl_250g, seed):
     assert not selection.gust_detected
 
 
-def test_a_diverse_search_tries_other_effects_beside_a_grid(arpl_250g):
-    """Fifteen points of the grid of b gain more than c; the twelve best trials are of b alone."""
-    limits = with_search(diverse=True)
-    grid = planted(arpl_250g, [0.0, *[0.3] * 15, 0.2], seed=0)
-    points = [dataclasses.replace(c, effect=effect("b")) for c in grid.candidates[1:16]]
-    candidates = (grid.candidates[0], *points, grid.candidates[16])
-    for thresholds, names in ((DEFAULT, {"b"}), (limits, {"b", grid.candidates[16].effect.name})):
-        search = Search(dataclasses.replace(grid, candidates=candidates, thresholds=thresholds))
-        chosen = search.score([candidates[0]])
-        trials = sorted(search.scores([(candidates[0], c) for c in candidates[1:]]), key=lambda s: -s.score)
-        tried = list(search._tried(chosen, trials))
-        assert {one.candidates[-1].effect.name for one in tried} == names
-        assert len(tried) == (thresholds.search.max_trials if names == {"b"} else thresholds.search.max_variants + 1)
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_where_nothing_is_planted_nothing_is_named(arpl_250g, seed):
     selection = select(planted(arpl_250g, [0.0] * 6, seed=seed))
