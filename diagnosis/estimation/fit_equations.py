@@ -88,7 +88,7 @@ class FitEquations:
             meat += apart.T @ apart
             shares.append(np.einsum("jk,bkl,jl->bj", inverse, own, inverse))
         informed = np.maximum(np.concatenate(shares), 0.0)
-        informed /= np.maximum(informed.max(axis=0, initial=0.0), 1e-300)  # what diverges has squares beyond all numbers
+        informed /= np.maximum(informed.max(axis=0, initial=0.0), 1e-300)  # where a fit diverges squares overflow
         return meat, informed.sum(axis=0) ** 2 / np.maximum((informed**2).sum(axis=0), 1e-300)
 
 
