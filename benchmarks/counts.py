@@ -5,7 +5,7 @@ and `benchmarks.mutated_flights`. Processor time is shared out by `--shares`; se
 case that has a line is not repeated. Lines stay in results/counts/KIND.jsonl with the revision that answered.
 
     python -m benchmarks.counts --first 2000 --budget 3600 --revision $(git rev-parse --short HEAD)
-    python -m benchmarks.counts --budget 0 --table
+    python -m benchmarks.counts --budget 0 --table --revision $(git rev-parse --short HEAD)
 """
 
 from __future__ import annotations
@@ -171,8 +171,17 @@ def _row(title: str, some: Sequence[Count], is_counted: Callable[[Count], bool],
     )
 
 
-def table(counts: Mapping[str, Sequence[Count]]) -> str:
-    """All figures with their intervals, then every fault."""
+def table(counts: Mapping[str, Sequence[Count]], revision: str = "") -> str:
+    """All figures with their intervals, those of one revision alone, then every fault."""
+    parts = [figures(counts)]
+    answered = {kind: [c for c in some if c.revision == revision] for kind, some in counts.items()}
+    if of_revision := {kind: some for kind, some in answered.items() if some}:
+        parts += [f"## Answered by {revision} alone", figures(of_revision)]
+    return "\n\n".join([*parts, "## Cases", _seeds(counts), "## Faults", "\n".join(_faults(counts))])
+
+
+def figures(counts: Mapping[str, Sequence[Count]]) -> str:
+    """The figures with their intervals."""
     lines = ["| | count | share | 95 % interval | goal |", "| --- | --- | --- | --- | --- |"]
     nothing = {kind: counts.get(kind, ()) for kind in NOTHING}
     nothing["all five"] = [count for some in nothing.values() for count in some]
@@ -201,7 +210,7 @@ def table(counts: Mapping[str, Sequence[Count]]) -> str:
     everything = [count for some in counts.values() for count in some]
     lines.append(_row("all: sure and false", everything, lambda c: c.sure > 0, "<= 0.5 %"))
     lines.append(_row("all: tracebacks", everything, lambda c: c.verdict == "traceback", "0"))
-    return "\n".join([*lines, "", _seeds(counts), "", "## Faults", "", *_faults(counts)])
+    return "\n".join(lines)
 
 
 def _seeds(counts: Mapping[str, Sequence[Count]]) -> str:
@@ -229,7 +238,11 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--shares", nargs="*", default=[], metavar="KIND=SHARE", help="of the time, instead of usual ones"
     )
-    made.add_argument("--revision", default="", help="of the repository, for the lines")
+    made.add_argument(
+        "--revision",
+        default="",
+        help="of the repository, for the lines; with a table that of which is shown alone, too",
+    )
     made.add_argument("--table", action="store_true", help="write results/counts.md of all lines")
     return made
 
@@ -258,7 +271,7 @@ def main() -> None:
     if options.table:
         counts = {kind: some for kind in SHARES if (some := read(kind))}
         runs = RUNS.read_text() if RUNS.exists() else ""
-        body = f"{table(counts)}\n\n## Runs\n\n{runs}"
+        body = f"{table(counts, options.revision)}\n\n## Runs\n\n{runs}"
         write_result("counts", "How often the verdict is false, on fresh seeds", body)
 
 

@@ -18,7 +18,7 @@ NOISY_TIME = 2.0  # s for which they may keep a value
 FRESH_TIME = 0.25  # s for which a column may keep a value that otherwise changes much more often
 FRESH_SAMPLES = 5  # samples that this must be at least, of a quantity that is logged slowly
 REPEATED_SHARE = 1 / 3  # of that, for which its other values may be repeated, as those that were counted are
-WATCHED = (*MOTION, "rotor_speed", "rotor_command")
+WATCHED = (*MOTION, "rotor_speed", "rotor_speed_command", "rotor_command")
 
 ATTITUDE_RESOLUTION = 1e-3  # of a quaternion's component in coarse logs
 

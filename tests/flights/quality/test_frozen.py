@@ -47,6 +47,12 @@ def test_a_rotor_speed_may_not_stand_for_half_a_second_that_otherwise_changes_ev
     assert np.array_equal(np.flatnonzero(rows), np.arange(300, 350))
 
 
+def test_a_commanded_speed_may_not_either():
+    columns = {name.replace("speed", "speed_command"): values for name, values in counted(0).items()}
+    columns["rotor_speed_command_1"][300:350] = columns["rotor_speed_command_1"][300]
+    assert list(frozen_rows(flown(columns))) == ["rotor_speed_command_1"]
+
+
 def test_a_pose_that_stands_still_as_a_whole_while_the_gyro_does_not_is_frozen():
     columns = counted(1)
     time = np.arange(600) / 100.0
