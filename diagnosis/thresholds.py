@@ -387,8 +387,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [margins: neither]
     max_trials: best additions that are cross-validated in one step. [margins: neither]
-    max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: where columns err the
-    one that leaves least is among five]
+    max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: of two sets that
+    columns led astray the one that leaves least was among five]
     max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
     min_contender_share: of the best score that a contender must have. [margins: neither]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
@@ -520,7 +520,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
         [convention: 1e-3 to 1e-2; the steps change it]
     damping_factor: by which that grows after a step that fits worse, and falls after one that fits better.
         [convention: ten]
-    max_damped: steps so damped. [decisions: twelve lead from any start that was tried]
+    max_damped: steps so damped. [decisions: Gauss-Newton goes on from where they lead]
     min_damped_fall: share of the cost by which each of them must improve the fit. [decisions: instruments lead on]
     converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
     much takes 0.005 % off an interval's coverage]
