@@ -525,6 +525,8 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
     much takes 0.005 % off an interval's coverage]
     max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
+    hopeless: reduced chi-square over that of a set that it is compared with, above which a fit whose way was not
+        straight is not made again. [decisions: damped steps took the most off a true set that ended at 5.5 times]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
@@ -550,6 +552,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     min_damped_fall: Share = 0.01
     converged: Positive = 0.02
     max_unsettled: Positive = 1.0
+    hopeless: Factor = 6.0
     difference_step: Positive = 0.02
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
@@ -559,6 +562,19 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     min_more: Share = 0.1
     faster: Annotated[float, Meta(gt=1)] = 4.0
     unsure: Share = 0.5
+
+
+class SlowMotionThresholds(ThresholdGroup, frozen=True):
+    """What slow motion leaves of a model.
+
+    cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
+    min_share: of the instruments' scaled Gram matrix, below which its directions are none. [margins: neither]
+    min_fall: of what is left over that, above which another set is better. [margins: neither]
+    """
+
+    cutoff: Positive = 0.75
+    min_share: Share = 1e-5
+    min_fall: Share = 0.1
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):
@@ -833,6 +849,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     gust: GustThresholds = GustThresholds()
     residual_tests: ResidualTestThresholds = ResidualTestThresholds()
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
+    slow_motion: SlowMotionThresholds = SlowMotionThresholds()
     output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()

@@ -11,6 +11,7 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, judged_fit
 from diagnosis.estimation.alternatives import decided_rivals, merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import beyond_feedback, fit
+from diagnosis.estimation.exchanges import with_exchanges
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
@@ -37,6 +38,8 @@ def accepted_fit(
         accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
     accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
     accepted = _with_rivals_that_need_less(regression, accepted, dataset, lacking)
+    if not selection.gust_variance:
+        accepted = with_exchanges(regression, accepted, dataset, lacking)
     return _with_damage_before_sensors(regression, accepted, dataset, lacking)
 
 
@@ -137,7 +140,7 @@ def _fitted_rivals(
             if (keys := frozenset(c.key for c in candidates)) in tried:
                 continue
             tried.add(keys)
-            trial = fit(regression, candidates, vehicle=vehicle)
+            trial = fit(regression, candidates, vehicle=vehicle, level=level)
             ratio, alike = trial.chi_square / level, limits.acceptance.max_redundant_ratio
             if trial.unsettled or ratio > alike:
                 continue

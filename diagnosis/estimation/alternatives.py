@@ -6,6 +6,7 @@ The search decides by columns that are linear about one fit, and that turbulence
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 from diagnosis.estimation.equation_error import fit
@@ -38,8 +39,8 @@ def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehic
         )
         for scored in near[: limits.acceptance.max_rivals]:
             trial = [*best[:place], scored.candidates[-1], *best[place + 1 :]]
-            levels = [fit(regression, candidates, vehicle=vehicle).chi_square for candidates in (best, trial)]
-            if levels[1] < levels[0] - required:
+            level = fit(regression, best, vehicle=vehicle).chi_square
+            if fit(regression, trial, vehicle=vehicle, level=level).chi_square < level - required:
                 best = trial
     return best
 
@@ -63,7 +64,7 @@ def _merged_pair(
     trials, level = _for_pairs(search, chosen), 0.0
     for pair, candidates in trials:
         level = level or fit(regression, chosen, vehicle=vehicle).chi_square
-        trial = fit(regression, candidates, vehicle=vehicle)
+        trial = fit(regression, candidates, vehicle=vehicle, level=level)
         saved = sum(map(search.penalty, pair)) - search.penalty(candidates[-1])
         if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
             return list(candidates)
@@ -116,8 +117,8 @@ def decided_rivals(
     limits, thresholds = regression.thresholds, regression.thresholds.acceptance
     search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
 
-    def chi_square(candidates: Sequence[Candidate]) -> float:
-        fitted = fit(regression, candidates, vehicle=vehicle)
+    def chi_square(candidates: Sequence[Candidate], of_best: float = math.inf) -> float:
+        fitted = fit(regression, candidates, vehicle=vehicle, level=of_best)
         return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
 
     for place in range(len(chosen)):
@@ -132,7 +133,7 @@ def decided_rivals(
             trials += [kin for kin in _drags(search, others, best[place]) if kin not in trials]
         for rival in trials:
             trial = [*best[:place], rival, *best[place + 1 :]]
-            trial_level = chi_square(trial)
+            trial_level = chi_square(trial, level)
             if thresholds.max_redundant_ratio * trial_level < level:
                 numbers = {"chi_square": level, "of_rival": trial_level}
                 refused.append(Refused(best[place].effect.name, best[place].rotor, "worse_than_rival", numbers))

@@ -34,26 +34,31 @@ def fit(
     *,
     vehicle: Vehicle | None = None,
     start: Mapping[tuple[str, str], float] | None = None,
+    level: float = np.inf,
 ) -> Fit:
     """Joint fit of candidates on the regression's flights, and of gain and curve of commands where these are logged.
 
     vehicle: that they are added to; by default the regression's. start: values at which the fit begins, by (effect's
-    key, parameter); by default the linear solution.
+    key, parameter); by default the linear solution. level: reduced chi-square of a set that these are compared with; a
+    fit that leaves far more is not made again where its way was not straight.
     """
     base = regression.vehicle if vehicle is None else vehicle
     if not (*candidates, *regression.nuisances):
         return Fit(base, {}, ())
     lacking = with_candidates(base, (*candidates, *regression.nuisances), {})
     fits = _fits.setdefault(regression, [])
-    for of, at, before, fitted in fits:  # rivals, trials and the last report ask for the same fits
-        if of == tuple(candidates) and at == start and before == lacking:
+    hopeless = regression.thresholds.equation_error.hopeless * level
+    for of, at, before, bound, fitted in fits:  # rivals, trials and the last report ask for the same fits
+        is_whole = hopeless <= bound or fitted.chi_square <= bound
+        if of == tuple(candidates) and at == start and before == lacking and is_whole:
             return fitted
-    fits.append((tuple(candidates), start, lacking, _fitted(regression, candidates, base, start)))
-    return fits[-1][-1]
+    fitted = _fitted(regression, candidates, base, start, hopeless=hopeless)
+    fits.append((tuple(candidates), start, lacking, hopeless, fitted))
+    return fitted
 
 
 _fits: WeakKeyDictionary[
-    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, Fit]]
+    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, float, Fit]]
 ] = WeakKeyDictionary()
 
 
@@ -64,10 +69,11 @@ def _fitted(
     start: Mapping[tuple[str, str], float] | None,
     *,
     slower: float = 1.0,
+    hopeless: float = np.inf,
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base, slower=slower)
-    values, last, left = _settle_from_afar(problem, problem.start(start))
+    values, last, left = _settle_from_afar(problem, problem.start(start), hopeless * regression.total)
     chi_square = last.cost / regression.total
     if problem.reweigh(values):
         again = _settle(problem, values)
@@ -184,14 +190,16 @@ class _Step:
         return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
 
 
-def _settle_from_afar(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, Floats]:
+def _settle_from_afar(problem: _EquationErrorProblem, start: Floats, hopeless: float) -> tuple[Floats, _Step, Floats]:
     """The same as `_settle`, where its way is not straight also from where damped steps lead, whichever fits better.
 
     Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
-    run out: an inertia divides the moments, and one step makes it a fifth or five times as large.
+    run out: an inertia divides the moments, and one step makes it a fifth or five times as large. hopeless: cost above
+    which it is left at that.
     """
     first = _settle(problem, start)
-    if first.is_straight and not problem.at_bounds(first.values).any():
+    straight = first.is_straight and not problem.at_bounds(first.values).any()
+    if straight or first.last.cost > hopeless:
         return first.values, first.last, first.left
     again = _settle(problem, _damped(problem, start))
     best = again if again.last.cost < first.last.cost else first

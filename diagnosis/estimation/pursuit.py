@@ -7,6 +7,7 @@ jointly with all before, the one that leaves least is added, and all columns are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -61,9 +62,12 @@ def _best_addition(regression: Regression, present: Sequence[Candidate], last: F
     limits = regression.thresholds.search
     if len(present) >= limits.max_effects:
         return None
-    values = None if last is None else last.values
-    fits = (fit(regression, candidates, start=values) for candidates in _proposed(Search(regression), present))
-    return min(fits, key=lambda fitted: fitted.chi_square, default=None)
+    values, best = None if last is None else last.values, None
+    for candidates in _proposed(Search(regression), present):
+        level = math.inf if best is None else best.chi_square
+        trial = fit(regression, candidates, start=values, level=level)
+        best = trial if trial.chi_square < level else best
+    return best
 
 
 def _proposed(search: Search, present: Sequence[Candidate]) -> list[Set]:

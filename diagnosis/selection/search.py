@@ -276,6 +276,23 @@ class Search:
                 sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
         return sets
 
+    def exchanges(self, chosen: Set) -> list[Scored]:
+        """Sets that are worth more with one or two effects exchanged, the best first."""
+        own = self.score(chosen)
+        trials = [*self._exchanged(own), *self._pairs_exchanged(own)]
+        return sorted(self.possible_scores(trials, self.worth(own)), key=lambda scored: -self.worth(scored))
+
+    def _pairs_exchanged(self, chosen: Scored) -> list[Set]:
+        """Two effects in place of two; one of them among the best single additions to the rest."""
+        sets = []
+        for one, other in itertools.combinations(chosen.candidates, 2):
+            rest = _without(_without(chosen.candidates, one), other)
+            additions = self.scores([(*rest, c) for c in self._others(rest)])
+            best = sorted(additions, key=lambda s: -s.score)[: self.thresholds.max_paired]
+            for addition in best:
+                sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
+        return sets
+
     def simplified(self, chosen: Scored) -> Scored:
         """The set with effects exchanged for others of fewer coefficients that gain nearly as much in their place.
 

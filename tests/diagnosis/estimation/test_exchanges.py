@@ -1,0 +1,142 @@
+"""Accepted effects are exchanged for those of which slow motion leaves less, one or two at once."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation import exchanges
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.slow_motion import SlowMotion
+from diagnosis.selection.regression_of_flights import make_regression
+from diagnosis.thresholds import DEFAULT
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle import EffectUse
+from fixtures.planted import planted_flights
+from tests.diagnosis.conftest import MANOEUVRES
+
+MASS, THRUST, TORQUE, DAMPING, INERTIA = "mass", "thrust_constant", "torque_constant", "rotational_damping", "inertia"
+LEFT = {  # by slow motion, of the joint fits
+    frozenset({MASS, TORQUE}): 2900.0,
+    frozenset({THRUST, TORQUE}): 2950.0,
+    frozenset({MASS, DAMPING}): 4000.0,
+    frozenset({THRUST, DAMPING}): 70.0,
+}
+NAMES = (MASS, THRUST, TORQUE, DAMPING, INERTIA)
+
+
+def candidate(name):
+    alike = {MASS: (THRUST,), THRUST: (MASS,), TORQUE: (INERTIA,)}.get(name, ())
+    return SimpleNamespace(
+        key=name, effect=SimpleNamespace(name=name, confounded_with=alike), columns=(NAMES.index(name),)
+    )
+
+
+REGRESSION = SimpleNamespace(candidates=tuple(map(candidate, NAMES)), nuisances=(), thresholds=DEFAULT)
+
+
+def of(*names):
+    return tuple(c for c in REGRESSION.candidates if c.key in names)
+
+
+def fitted(*names):
+    keys = frozenset(names)
+    return SimpleNamespace(
+        candidates=of(*names), keys=tuple(keys), vehicle=keys, unsettled=frozenset(), chi_square=LEFT.get(keys, 9000.0)
+    )
+
+
+@pytest.fixture
+def proposed(monkeypatch):
+    """Sets that columns propose about each fit, by its effects."""
+    sets: dict[frozenset[str], list[tuple[str, ...]]] = {}
+
+    class Slow:
+        count = 80
+
+        def left(self, vehicle):
+            return LEFT.get(vehicle, 9000.0)
+
+    class Search:
+        def __init__(self, regression, about=frozenset()):
+            self.regression, self.about = REGRESSION, about
+
+        def penalty(self, candidate):
+            return 10.0
+
+        def score(self, candidates):
+            return SimpleNamespace(score=-LEFT.get(frozenset(c.key for c in candidates), 9000.0))
+
+        def exchanges(self, chosen):
+            return [SimpleNamespace(candidates=of(*names)) for names in sets.get(self.about, [])]
+
+    monkeypatch.setattr(exchanges, "SlowMotion", lambda regression: Slow())
+    monkeypatch.setattr(exchanges, "Search", Search)
+    monkeypatch.setattr(exchanges, "_search_about", lambda regression, start: Search(None, start.vehicle))
+    monkeypatch.setattr(exchanges, "fit", lambda regression, some, vehicle, level: fitted(*(c.key for c in some)))
+    return sets
+
+
+def exchanged(monkeypatch, judge=lambda names: names):
+    def judged(regression, candidates, dataset, vehicle, refused):
+        return SimpleNamespace(fit=fitted(*judge({c.key for c in candidates})), refused=refused)
+
+    monkeypatch.setattr(exchanges, "judged_fit", judged)
+    accepted = SimpleNamespace(fit=fitted(MASS, TORQUE), refused=())
+    return set(exchanges.with_exchanges(REGRESSION, accepted, None, None).fit.keys)
+
+
+def test_two_are_exchanged_at_once_where_either_alone_leaves_more(proposed, monkeypatch):
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING), (MASS, DAMPING)]
+    assert exchanged(monkeypatch) == {THRUST, DAMPING}
+
+
+def test_from_a_look_alike_that_leaves_as_much_other_exchanges_are_near(proposed, monkeypatch):
+    proposed[frozenset({THRUST, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch) == {THRUST, DAMPING}
+
+
+def test_what_held_out_flights_refuse_is_not_exchanged(proposed, monkeypatch):
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch, judge=lambda names: names - {DAMPING}) == {MASS, TORQUE}
+
+
+def test_what_leaves_little_less_is_not_exchanged(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 2700.0)
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch) == {MASS, TORQUE}
+
+
+def test_where_slow_motion_leaves_no_more_than_chance_nothing_is_tried(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE}), 80.0)
+    monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 1.0)
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch) == {MASS, TORQUE}
+
+
+@pytest.fixture(scope="module")
+def damped(arpl_250g):
+    """The regression of flights on a vehicle whose file lacks a strong damping."""
+    planted = [EffectUse(DAMPING, {"coefficient": 5e-4})]
+    dataset = make_dataset(planted_flights(arpl_250g, planted, seed=11, manoeuvres=MANOEUVRES), arpl_250g)
+    return make_regression(arpl_250g, CATALOGUE, dataset.fitted, dataset.flight_of)
+
+
+def test_slow_motion_leaves_about_as_much_of_the_right_model_as_there_are_columns(damped):
+    slow = SlowMotion(damped)
+    right, wrong = (
+        fit(damped, [next(c for c in damped.candidates if c.effect.name == name)]) for name in (DAMPING, TORQUE)
+    )
+    assert slow.left(right.vehicle) < 2 * slow.count
+    assert slow.left(wrong.vehicle) > 10 * slow.count
+
+
+def test_by_slow_motion_a_torque_constant_is_no_damping(damped):
+    """Columns for detection have the moments of the motion in place of the rotors': a damping takes its own off it."""
+    search = exchanges.Search(SlowMotion(damped).regression())
+    damping, both = (
+        search.score([c for c in damped.candidates if c.effect.name in names])
+        for names in ({DAMPING}, {DAMPING, TORQUE})
+    )
+    assert both.score < damping.score
+    assert damping.gain == pytest.approx(both.gain, rel=1e-3)
