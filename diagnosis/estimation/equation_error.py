@@ -190,7 +190,9 @@ class _Step:
         return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
 
 
-def _settle_from_afar(problem: _EquationErrorProblem, start: Floats, hopeless: float) -> tuple[Floats, _Step, Floats]:
+def _settle_from_afar(
+    problem: _EquationErrorProblem, start: Floats, hopeless: float = np.inf
+) -> tuple[Floats, _Step, Floats]:
     """The same as `_settle`, where its way is not straight also from where damped steps lead, whichever fits better.
 
     Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or

@@ -137,3 +137,10 @@ def test_a_fit_that_goes_straight_is_left_as_it_is():
     start = np.array([0.9])
     assert _settle(Bump(), start).is_straight
     assert _settle_from_afar(Bump(), start)[0] == _settle(Bump(), start).values
+
+
+def test_a_fit_that_leaves_far_more_than_what_it_is_compared_with_is_not_made_again():
+    start = np.array([15.0])
+    first = _settle(Bump(), start)
+    assert _settle_from_afar(Bump(), start, hopeless=0.9 * first.last.cost)[0] == first.values
+    assert abs(_settle_from_afar(Bump(), start, hopeless=1.1 * first.last.cost)[0][0]) == pytest.approx(1.0, abs=1e-3)
