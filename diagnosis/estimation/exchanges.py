@@ -1,4 +1,4 @@
-"""Accepted effects exchanged for others, one or two at once, where the full model about them then leaves less.
+"""Accepted effects exchanged for others, one or two at once, where slow motion leaves less of the full model then.
 
 A mass beside a torque constant may be what is nearest to a thrust constant beside a damping, and a drag at the rotors
 beside an inflow to a drag of the body beside a damping: each exchange of one of the two leaves more.
@@ -6,7 +6,7 @@ beside an inflow to a drag of the body beside a damping: each exchange of one of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from diagnosis.data.dataset import Dataset
@@ -17,76 +17,73 @@ from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.slow_motion import SlowMotion
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import declared_alike
 from diagnosis.selection.search import Search, Set
 from dynamics.vehicle import Vehicle
 
 
 def with_exchanges(regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle) -> Accepted:
-    """The same with effects exchanged until slow motion leaves less of no other set, once it has been judged.
+    """The same with effects exchanged where slow motion leaves clearly less of another set, once it has been judged.
 
-    vehicle: that they are added to.
+    What is sought is the set of which slow motion leaves least, with more effects than held-out flights bear out: what
+    stands in for a small one is no exchange for its sake. vehicle: that they are added to.
     """
-    slow, tried = SlowMotion(regression), {frozenset(accepted.fit.keys)}
-    while accepted.fit.candidates and (better := _better(regression, slow, accepted, dataset, vehicle, tried)):
-        accepted = better
-    return accepted
+    if not accepted.fit.candidates:
+        return accepted
+    walk = _Walk(regression, vehicle)
+    if walk.is_within_chance(accepted.fit):
+        return accepted
+    best = walk.from_fit(accepted.fit)
+    if set(best.keys) == set(accepted.fit.keys):
+        return accepted
+    judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
+    return judged if walk.is_better(judged.fit, accepted.fit) else accepted
 
 
-def _better(
-    regression: Regression,
-    slow: SlowMotion,
-    accepted: Accepted,
-    dataset: Dataset,
-    vehicle: Vehicle,
-    tried: set[frozenset[str]],
-) -> Accepted | None:
-    """A judged set of which slow motion leaves clearly less, None where none is found. tried: sets, to be added to."""
-    search, limits = Search(regression), regression.thresholds
+class _Walk:
+    """Steps from set to set, each to the one of which slow motion leaves least, penalties of coefficients included."""
 
-    def left(fitted: Fit) -> float:
-        return slow.left(fitted.vehicle) + sum(map(search.penalty, fitted.candidates))
+    def __init__(self, regression: Regression, vehicle: Vehicle) -> None:
+        self._regression, self._vehicle = regression, vehicle
+        self._slow, self._search = SlowMotion(regression), Search(regression)
 
-    own = slow.left(accepted.fit.vehicle)
-    if own <= slow.count:  # as much as chance
-        return None
-    most = left(accepted.fit) - max(limits.rivals.score_margin, limits.slow_motion.min_fall * own)
-    for candidates in _proposed(regression, accepted.fit, vehicle, own):
-        if (keys := frozenset(c.key for c in candidates)) in tried:
-            continue
-        tried.add(keys)
-        trial = fit(regression, candidates, vehicle=vehicle, level=accepted.fit.chi_square)
-        if trial.unsettled or left(trial) > most:
-            continue
-        judged = judged_fit(regression, candidates, dataset, vehicle, refused=accepted.refused)
-        if left(judged.fit) <= most:
-            return judged
-    return None
+    def from_fit(self, fitted: Fit) -> Fit:
+        """The fit from where no further step leaves clearly less."""
+        regression, vehicle = self._regression, self._vehicle
+        while True:
+            trials = [fit(regression, s, vehicle=vehicle, level=fitted.chi_square) for s in self._near(fitted)]
+            best = min((trial for trial in trials if not trial.unsettled), key=self._cost, default=fitted)
+            if not self.is_better(best, fitted):
+                return fitted
+            fitted = best
 
+    def is_within_chance(self, fitted: Fit) -> bool:
+        """Whether slow motion leaves no more than it would of noise."""
+        return self._slow.left(fitted, self._vehicle) <= self._slow.count
 
-def _proposed(regression: Regression, fitted: Fit, vehicle: Vehicle, left: float) -> Iterator[Set]:
-    """Sets that may leave less: by columns about the fit, then about fits with an effect in place of one that is
-    declared to look like it.
+    def is_better(self, one: Fit, other: Fit) -> bool:
+        """Whether slow motion leaves clearly less of one set than of another."""
+        limits = self._regression.thresholds
+        least = limits.slow_motion.min_fall * self._slow.left(other, self._vehicle)
+        return self._cost(one) <= self._cost(other) - max(limits.rivals.score_margin, least)
 
-    A thrust constant with an inertia and a torque constant is a mass: from there other exchanges are near.
-    left: of the fit, by slow motion.
-    """
-    search = _search_about(regression, fitted)
-    if search is None:
-        return
-    yield from _exchanged(regression, search, fitted)
-    own, names = search.score(_of(search.regression, fitted.candidates)), {c.effect.name for c in fitted.candidates}
-    for one in fitted.candidates:
-        for kin in regression.candidates:
-            if kin.effect.name in names or not declared_alike(one, kin):
-                continue
-            alike = [kin if c is one else c for c in fitted.candidates]
-            if search.score(_of(search.regression, alike)).score < own.score - left:
-                continue
-            trial = fit(regression, alike, vehicle=vehicle, level=fitted.chi_square)
-            about_kin = None if trial.unsettled else _search_about(regression, trial)
-            if about_kin is not None:
-                yield from _exchanged(regression, about_kin, trial)
+    def _cost(self, fitted: Fit) -> float:
+        return self._slow.left(fitted, self._vehicle) + sum(map(self._search.penalty, fitted.candidates))
+
+    def _near(self, fitted: Fit) -> list[Set]:
+        """Sets that leave less by columns about a fit, the best first.
+
+        Of those that add the same, or more than that, the best one.
+        """
+        search = _search_about(self._regression, fitted)
+        if search is None:
+            return []
+        best, added = list[Set](), list[set[str]]()
+        for scored in search.near(_of(search.regression, fitted.candidates)):
+            new = {c.key for c in scored.candidates} - set(fitted.keys)
+            if new and not any(new >= before for before in added):
+                added.append(new)
+                best.append(_of(self._regression, scored.candidates))
+        return best[: self._search.thresholds.max_proposed]
 
 
 def _search_about(regression: Regression, fitted: Fit) -> Search | None:
@@ -94,20 +91,6 @@ def _search_about(regression: Regression, fitted: Fit) -> Search | None:
     own = tuple(replace(candidate, fitted=None) for candidate in regression.candidates)
     here = about(regression, own, regression.nuisances, fitted)
     return None if here is None else Search(SlowMotion(here).regression())
-
-
-def _exchanged(regression: Regression, search: Search, fitted: Fit) -> list[Set]:
-    """Sets with one or two effects exchanged that leave less by columns about the fit, the best first.
-
-    Of those that add the same, or more than that, the best one.
-    """
-    best, added = list[Set](), list[set[str]]()
-    for scored in search.exchanges(_of(search.regression, fitted.candidates)):
-        new = {c.key for c in scored.candidates} - set(fitted.keys)
-        if new and not any(new >= before for before in added):
-            added.append(new)
-            best.append(_of(regression, scored.candidates))
-    return best[: regression.thresholds.search.max_proposed]
 
 
 def _of(regression: Regression, candidates: Sequence[Candidate]) -> Set:

@@ -15,9 +15,10 @@ import numpy as np
 
 from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.evaluation import residuals
+from diagnosis.estimation.fitted import Fit
+from diagnosis.estimation.linear_rows import LinearRows
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.regression import Regression, unzipped
+from diagnosis.selection.regression import Regression, solved, unzipped
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
@@ -51,14 +52,23 @@ class SlowMotion:
         """Independent ones, of which noise alone leaves as much (the expectation of J, but for the fitted values)."""
         return len(self._roots)
 
-    def left(self, vehicle: Vehicle) -> float:
-        """Hansen's J of a vehicle with a fit's values: what all columns explain of what it leaves."""
-        r = self._regression
-        rows = residuals(vehicle, r.catalogue, r.segments, thresholds=r.thresholds)
-        noisier = residuals(vehicle, r.catalogue, r.noisier, thresholds=r.thresholds)
-        changes = [more - row for more, row in zip(noisier, rows, strict=True)]
-        white, errors = ([self._whitened(y[:, :, None]) for y in of] for of in (rows, changes))
-        return float(np.sum((self._roots @ self._products(white, errors)) ** 2))
+    def left(self, fitted: Fit, vehicle: Vehicle) -> float:
+        """Hansen's J of a fit: what all columns explain of what it leaves at the values that these prefer.
+
+        By one step from the fit's values, which follow from all motion. vehicle: that the effects were added to.
+        """
+        r, values = self._regression, {f"{key}.{name}": value for (key, name), value in fitted.values.items()}
+        linear = LinearRows(r, (*fitted.candidates, *fitted.nuisances), vehicle)
+        parts = [linear.at(segment, values) for segment in r.segments]
+        noisier = [linear.at(segment, values) for segment in r.noisier]
+        white = [self._whitened(np.concatenate([x, y[:, :, None]], axis=2)) for y, x, _ in parts]
+        errors = [
+            self._whitened(np.concatenate([more_x - x, (more - y)[:, :, None]], axis=2))
+            for (y, x, _), (more, more_x, _) in zip(parts, noisier, strict=True)
+        ]
+        products = self._roots @ self._products(white, errors)
+        x, y = products[:, :-1], products[:, -1]
+        return float(y @ y - solved(x.T @ x, x.T @ y)[1])
 
     def regression(self) -> Regression:
         """The regression by instruments, as of one flight: two-stage least squares (Theil, 1953).

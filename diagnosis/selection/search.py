@@ -276,11 +276,12 @@ class Search:
                 sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
         return sets
 
-    def exchanges(self, chosen: Set) -> list[Scored]:
-        """Sets that are worth more with one or two effects exchanged, the best first."""
+    def near(self, chosen: Set) -> list[Scored]:
+        """Sets that are worth more with one effect more, or one or two exchanged, the best first."""
         own = self.score(chosen)
-        trials = [*self._exchanged(own), *self._pairs_exchanged(own)]
-        return sorted(self.possible_scores(trials, self.worth(own)), key=lambda scored: -self.worth(scored))
+        trials = [*self._more(own), *self._exchanged(own), *self._pairs_exchanged(own)]
+        worth_more = self.possible_scores(trials, self.worth(own))
+        return sorted(filter(self._allowed, worth_more), key=lambda scored: -self.worth(scored))
 
     def _pairs_exchanged(self, chosen: Scored) -> list[Set]:
         """Two effects in place of two; one of them among the best single additions to the rest."""

@@ -42,7 +42,7 @@ def of(*names):
 def fitted(*names):
     keys = frozenset(names)
     return SimpleNamespace(
-        candidates=of(*names), keys=tuple(keys), vehicle=keys, unsettled=frozenset(), chi_square=LEFT.get(keys, 9000.0)
+        candidates=of(*names), keys=tuple(keys), unsettled=frozenset(), chi_square=LEFT.get(keys, 9000.0)
     )
 
 
@@ -54,26 +54,28 @@ def proposed(monkeypatch):
     class Slow:
         count = 80
 
-        def left(self, vehicle):
-            return LEFT.get(vehicle, 9000.0)
+        def left(self, fitted, vehicle):
+            return LEFT.get(frozenset(fitted.keys), 9000.0)
 
     class Search:
+        thresholds = DEFAULT.search
+
         def __init__(self, regression, about=frozenset()):
             self.regression, self.about = REGRESSION, about
 
         def penalty(self, candidate):
             return 10.0
 
-        def score(self, candidates):
-            return SimpleNamespace(score=-LEFT.get(frozenset(c.key for c in candidates), 9000.0))
-
-        def exchanges(self, chosen):
+        def near(self, chosen):
             return [SimpleNamespace(candidates=of(*names)) for names in sets.get(self.about, [])]
+
+    def joint(regression, some, vehicle, level):
+        return fitted(*(c.key for c in some))
 
     monkeypatch.setattr(exchanges, "SlowMotion", lambda regression: Slow())
     monkeypatch.setattr(exchanges, "Search", Search)
-    monkeypatch.setattr(exchanges, "_search_about", lambda regression, start: Search(None, start.vehicle))
-    monkeypatch.setattr(exchanges, "fit", lambda regression, some, vehicle, level: fitted(*(c.key for c in some)))
+    monkeypatch.setattr(exchanges, "_search_about", lambda regression, start: Search(None, frozenset(start.keys)))
+    monkeypatch.setattr(exchanges, "fit", joint)
     return sets
 
 
@@ -87,13 +89,30 @@ def exchanged(monkeypatch, judge=lambda names: names):
 
 
 def test_two_are_exchanged_at_once_where_either_alone_leaves_more(proposed, monkeypatch):
-    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING), (MASS, DAMPING)]
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING), (MASS, INERTIA)]
     assert exchanged(monkeypatch) == {THRUST, DAMPING}
 
 
-def test_from_a_look_alike_that_leaves_as_much_other_exchanges_are_near(proposed, monkeypatch):
-    proposed[frozenset({THRUST, TORQUE})] = [(THRUST, DAMPING)]
+def test_of_what_columns_propose_the_set_counts_that_leaves_least_in_the_full_model(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({MASS, INERTIA}), 500.0)
+    proposed[frozenset({MASS, TORQUE})] = [(MASS, INERTIA), (THRUST, DAMPING)]
     assert exchanged(monkeypatch) == {THRUST, DAMPING}
+
+
+def test_it_goes_on_from_each_step_and_what_is_small_may_be_refused_in_the_end(proposed, monkeypatch):
+    """An exchange that is right beside an effect that is too small to name is found beside that effect."""
+    monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE, INERTIA}), 400.0)
+    monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING, INERTIA}), 60.0)
+    proposed[frozenset({MASS, TORQUE})] = [(MASS, TORQUE, INERTIA)]
+    proposed[frozenset({MASS, TORQUE, INERTIA})] = [(THRUST, DAMPING, INERTIA)]
+    assert exchanged(monkeypatch, judge=lambda names: names - {INERTIA}) == {THRUST, DAMPING}
+
+
+def test_what_stands_in_for_an_effect_that_is_refused_is_no_exchange(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE, INERTIA}), 60.0)
+    monkeypatch.setitem(LEFT, frozenset({MASS, DAMPING}), 600.0)
+    proposed[frozenset({MASS, TORQUE})] = [(MASS, DAMPING), (MASS, TORQUE, INERTIA)]
+    assert exchanged(monkeypatch, judge=lambda names: names - {INERTIA}) == {MASS, TORQUE}
 
 
 def test_what_held_out_flights_refuse_is_not_exchanged(proposed, monkeypatch):
@@ -122,13 +141,13 @@ def damped(arpl_250g):
     return make_regression(arpl_250g, CATALOGUE, dataset.fitted, dataset.flight_of)
 
 
-def test_slow_motion_leaves_about_as_much_of_the_right_model_as_there_are_columns(damped):
+def test_slow_motion_leaves_about_as_much_of_the_right_model_as_there_are_columns(damped, arpl_250g):
     slow = SlowMotion(damped)
     right, wrong = (
         fit(damped, [next(c for c in damped.candidates if c.effect.name == name)]) for name in (DAMPING, TORQUE)
     )
-    assert slow.left(right.vehicle) < 2 * slow.count
-    assert slow.left(wrong.vehicle) > 10 * slow.count
+    assert slow.left(right, arpl_250g) < 2 * slow.count
+    assert slow.left(wrong, arpl_250g) > 10 * slow.count
 
 
 def test_by_slow_motion_a_torque_constant_is_no_damping(damped):
