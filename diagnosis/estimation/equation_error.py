@@ -7,7 +7,7 @@ the slow columns serve as instruments; errors in variables are corrected as in t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from diagnosis.estimation.fit_equations import BlockRows, FitEquations, by_block, explained_by_biases, pooled
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, neutral_value, with_candidates
+from diagnosis.estimation.gauss_newton import Step, settle, settle_from_afar
 from diagnosis.estimation.linear_rows import LinearRows
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate, scales_rotors
@@ -73,10 +74,10 @@ def _fitted(
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base, slower=slower)
-    values, last, left = _settle_from_afar(problem, problem.start(start), hopeless * regression.total)
+    values, last, left = settle_from_afar(problem, problem.start(start), hopeless * regression.total)
     chi_square = last.cost / regression.total
     if problem.reweigh(values):
-        again = _settle(problem, values)
+        again = settle(problem, values)
         values, last, left = again.values, again.last, again.left
         chi_square = problem.chi_square(values)
     covariance = last.covariance + np.outer(left, left)
@@ -161,112 +162,6 @@ def _change_by_cutoff(regression: Regression, fitted: Fit, vehicle: Vehicle, fac
     sizes, axes = np.linalg.eigh((lower - higher) / np.outer(deviation, deviation))
     min_size = regression.thresholds.equation_error.min_more
     return step.change[:count], (axes * np.maximum(sizes, min_size)) @ axes.T * np.outer(deviation, deviation)
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A Gauss-Newton step.
-
-    change: (k,) of the parameters. covariance, information: (k, k) of them. cost: of the fit before the step.
-    """
-
-    change: Floats
-    covariance: Floats
-    information: Floats
-    cost: float
-
-    @property
-    def deviations(self) -> float:
-        """Length of the change, over the standard deviations."""
-        return float(np.linalg.norm(self.change / np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))))
-
-    def damped(self, damping: float) -> Floats:
-        """(k,) the change with such a share of its own information added to that of each parameter."""
-        added = self.information + damping * np.diag(np.abs(np.diag(self.information)))
-        return np.asarray(np.linalg.lstsq(added, self.information @ self.change, rcond=None)[0])
-
-    def is_small(self, change: Floats, share: float) -> NDArray[np.bool_]:
-        """(k,) whether a change is within a share of the standard deviations."""
-        return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
-
-
-def _settle_from_afar(
-    problem: _EquationErrorProblem, start: Floats, hopeless: float = np.inf
-) -> tuple[Floats, _Step, Floats]:
-    """The same as `_settle`, where its way is not straight also from where damped steps lead, whichever fits better.
-
-    Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
-    run out: an inertia divides the moments, and one step makes it a fifth or five times as large. hopeless: cost above
-    which it is left at that.
-    """
-    first = _settle(problem, start)
-    straight = first.is_straight and not problem.at_bounds(first.values).any()
-    if straight or first.last.cost > hopeless:
-        return first.values, first.last, first.left
-    again = _settle(problem, _damped(problem, start))
-    best = again if again.last.cost < first.last.cost else first
-    return best.values, best.last, best.left
-
-
-def _damped(problem: _EquationErrorProblem, start: Floats) -> Floats:
-    """Values to which steps lead that are damped until the fit gets better by each (Levenberg and Marquardt).
-
-    They end where it no longer does by much: near the minimum instruments lead elsewhere.
-    """
-    thresholds, values, here = problem.thresholds, start, problem.step(start)
-    damping = thresholds.damping
-    for _ in range(thresholds.max_damped):
-        if not np.isfinite(here.cost):
-            break
-        moved = problem.bounded(values, here.damped(damping))
-        there = problem.step(moved)
-        if not there.cost < here.cost:
-            damping *= thresholds.damping_factor
-            continue
-        damping /= thresholds.damping_factor
-        is_flat = there.cost > (1 - thresholds.min_damped_fall) * here.cost
-        values, here = moved, there
-        if is_flat:
-            break
-    return values
-
-
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """Where Gauss-Newton has ended.
-
-    values: (k,). last: the step from there. left: (k,) what of it the bounds allow. is_straight: whether every step was
-    taken as it was, and the last one is small.
-    """
-
-    values: Floats
-    last: _Step
-    left: Floats
-    is_straight: bool
-
-
-def _settle(problem: _EquationErrorProblem, start: Floats) -> _Settled:
-    """Values to which Gauss-Newton converges.
-
-    A step after which the fit is worse and the next step no smaller is halved: along a hidden state's parameters the
-    fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum.
-    """
-    thresholds, values, is_straight = problem.thresholds, start, True
-    here = problem.step(values)
-    change = here.change
-    for _ in range(thresholds.max_steps):
-        moved = problem.bounded(values, change)
-        if np.all(here.is_small(moved - values, thresholds.converged)):
-            break
-        there = problem.step(moved)
-        grown = not there.cost <= thresholds.max_cost_growth * here.cost
-        if grown and not (np.isfinite(there.cost) and there.deviations < here.deviations):
-            change, is_straight = change / 2, False
-            continue
-        values, here, change = moved, there, there.change
-    else:
-        is_straight = False
-    return _Settled(values, here, problem.bounded(values, here.change) - values, is_straight)
 
 
 class _EquationErrorProblem:
@@ -365,7 +260,7 @@ class _EquationErrorProblem:
     def _named(self, values: Floats) -> dict[str, float]:
         return dict(zip(self.names, values.tolist(), strict=True))
 
-    def clock_covariance(self, values: Floats, here: _Step) -> Floats:
+    def clock_covariance(self, values: Floats, here: Step) -> Floats:
         """(k, k) covariance that the commands' clock adds: a lag's own, or what one that is not fitted moves.
 
         here: the step from these values.
@@ -383,7 +278,7 @@ class _EquationErrorProblem:
                     result += np.outer(moved.change - here.change, moved.change - here.change)
         return np.asarray(result)
 
-    def step(self, values: Floats, others: Mapping[str, float] | None = None) -> _Step:
+    def step(self, values: Floats, others: Mapping[str, float] | None = None) -> Step:
         """The step from some values; every flight's biases are integrated out.
 
         The covariance is that of blocks of residuals (White, 1980), of few blocks also the noise model's.
@@ -392,7 +287,7 @@ class _EquationErrorProblem:
         count = len(self.free)
         equations = self._equations({**self._named(values), **(others or {})})
         if equations is None:
-            return _Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
+            return Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
         biases = equations.biases
         for one, other, own in zip(equations.grams, equations.products, equations.instruments, strict=True):
@@ -410,7 +305,7 @@ class _EquationErrorProblem:
         covariance = pooled(
             inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T, number, self.thresholds.prior_blocks
         )
-        return _Step(step, covariance, gram, self._cost(equations, values))
+        return Step(step, covariance, gram, self._cost(equations, values))
 
     def _moved(self, gram: Floats, product: Floats) -> Floats:
         """(k,) Gauss-Newton step of all parameters but those that are assumed."""

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import _EquationErrorProblem, _settle, _settle_from_afar, _Step, fit
+from diagnosis.estimation.equation_error import _EquationErrorProblem, fit
 from diagnosis.estimation.fitted import bounds, with_candidates
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
@@ -105,42 +104,3 @@ def test_a_channel_that_the_model_misses_does_not_change_what_the_others_show(ar
     fitted = fit(regression, [of(regression, "motor_lag")])
     assert fitted.chi_square > 100  # of the noise that the fit with the rotor leaves
     assert fitted.estimates["motor_lag", "time_constant"].value == pytest.approx(0.03, abs=0.002)
-
-
-class Bump:
-    """One parameter x of the model 1/(1 + x^2), measured as 0.5: far from 1 the slope is small, and steps are huge."""
-
-    thresholds = DEFAULT.equation_error
-
-    def step(self, values):
-        (x,) = values
-        slope, residual = -2 * x / (1 + x**2) ** 2, 0.5 - 1 / (1 + x**2)
-        return _Step(np.array([residual / slope]), np.eye(1) / slope**2, np.eye(1) * slope**2, residual**2)
-
-    def bounded(self, values, step):
-        return np.clip(values + step, -1e6, 1e6)
-
-    def at_bounds(self, values):
-        return np.abs(values) >= 1e6
-
-
-def test_a_fit_that_begins_far_off_gets_there_by_damped_steps():
-    start = np.array([15.0])
-    assert abs(_settle(Bump(), start).values[0]) > 2.0
-    values, last, left = _settle_from_afar(Bump(), start)
-    assert abs(values[0]) == pytest.approx(1.0, abs=1e-3)
-    assert last.cost < 1e-6
-    assert abs(left[0]) < 0.01
-
-
-def test_a_fit_that_goes_straight_is_left_as_it_is():
-    start = np.array([0.9])
-    assert _settle(Bump(), start).is_straight
-    assert _settle_from_afar(Bump(), start)[0] == _settle(Bump(), start).values
-
-
-def test_a_fit_that_leaves_far_more_than_what_it_is_compared_with_is_not_made_again():
-    start = np.array([15.0])
-    first = _settle(Bump(), start)
-    assert _settle_from_afar(Bump(), start, hopeless=0.9 * first.last.cost)[0] == first.values
-    assert abs(_settle_from_afar(Bump(), start, hopeless=1.1 * first.last.cost)[0][0]) == pytest.approx(1.0, abs=1e-3)
