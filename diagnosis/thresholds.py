@@ -569,11 +569,14 @@ class SlowMotionThresholds(ThresholdGroup, frozen=True):
 
     cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
     min_share: of the instruments' scaled Gram matrix, below which its directions are none. [margins: neither]
+    enough: J over the number of instruments up to which no other set is sought. [decisions: slow motion decides: 0.9 to
+        1.5 of true sets, from 5 of false ones]
     min_fall: of what is left over that, above which another set is better. [margins: neither]
     """
 
     cutoff: Positive = 0.75
     min_share: Share = 1e-5
+    enough: Factor = 2.0
     min_fall: Share = 0.1
 
 
