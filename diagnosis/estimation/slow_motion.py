@@ -83,8 +83,8 @@ class SlowMotion:
         rows, columns = unzipped(design.evaluate(segment, instrumented=False) for segment in r.segments)
         errors = [self._whitened(np.asarray(x, dtype=float)) for _, x in r.errors]
         across = self._roots @ self._products([self._whitened(x) for x in columns], errors)
-        changes = [self._whitened(y[:, :, None]) for y, _ in r.errors]
-        product = self._roots @ self._products([self._whitened(y[:, :, None]) for y in rows], changes)
+        added = [self._whitened(y[:, :, None]) for y, _ in r.errors]
+        product = self._roots @ self._products([self._whitened(y[:, :, None]) for y in rows], added)
         return replace(r, gram=[across.T @ across], product=[across.T @ product[:, 0]], observations=[r.total])
 
     def _parts(self) -> Iterator[tuple[int, Floats, Floats, Floats]]:
@@ -114,5 +114,5 @@ def _roots(gram: Floats, min_share: float) -> Floats:
     """(n, k) R with R'R the inverse of a Gram matrix where that is well-conditioned."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-9))
     values, axes = np.linalg.eigh(gram / np.outer(size, size))
-    kept = values > min_share
-    return np.asarray((axes[:, kept] / np.sqrt(values[kept])).T / size)
+    usable = values > min_share
+    return np.asarray((axes[:, usable] / np.sqrt(values[usable])).T / size)
