@@ -45,7 +45,7 @@ class _Walk:
     def __init__(self, regression: Regression, vehicle: Vehicle) -> None:
         self._regression, self._vehicle = regression, vehicle
         self._slow, self._search = SlowMotion(regression), Search(regression)
-        self._known: dict[Fit, float] = {}
+        self._results: dict[Fit, float] = {}
 
     def from_fit(self, fitted: Fit) -> Fit:
         """The fit from where no further step leaves clearly less."""
@@ -59,22 +59,22 @@ class _Walk:
 
     def is_within_chance(self, fitted: Fit) -> bool:
         """Whether slow motion leaves little more than it would of noise."""
-        most = self._regression.thresholds.slow_motion.enough * self._slow.count
-        return self._left(fitted) <= most
+        bound = self._regression.thresholds.slow_motion.enough * self._slow.count
+        return self._left(fitted) <= bound
 
     def is_better(self, one: Fit, other: Fit) -> bool:
         """Whether slow motion leaves clearly less of one set than of another."""
         limits = self._regression.thresholds
-        least = limits.slow_motion.min_fall * self._left(other)
-        return self._cost(one) <= self._cost(other) - max(limits.rivals.score_margin, least)
+        required = limits.slow_motion.min_fall * self._left(other)
+        return self._cost(one) <= self._cost(other) - max(limits.rivals.score_margin, required)
 
     def _cost(self, fitted: Fit) -> float:
         return self._left(fitted) + sum(map(self._search.penalty, fitted.candidates))
 
     def _left(self, fitted: Fit) -> float:
-        if fitted not in self._known:
-            self._known[fitted] = self._slow.left(fitted, self._vehicle)
-        return self._known[fitted]
+        if fitted not in self._results:
+            self._results[fitted] = self._slow.left(fitted, self._vehicle)
+        return self._results[fitted]
 
     def _near(self, fitted: Fit) -> list[Set]:
         """Sets that leave less by columns about a fit, the best first.
