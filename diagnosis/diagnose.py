@@ -41,7 +41,7 @@ from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
-from diagnosis.selection.search import Selection, with_gust_beside
+from diagnosis.selection.selected import Selection, with_gust_beside
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
 from diagnosis.verdict import (
     channel_errors,

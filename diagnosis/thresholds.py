@@ -568,10 +568,10 @@ class SlowMotionThresholds(ThresholdGroup, frozen=True):
     """What slow motion leaves of a model.
 
     cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
-    min_share: of the instruments' scaled Gram matrix, below which its directions are none. [margins: neither]
-    enough: J over the number of instruments up to which no other set is sought. [decisions: slow motion decides: 0.9 to
-        1.5 of true sets, from 5 of false ones]
-    min_fall: of what is left over that, above which another set is better. [margins: neither]
+    min_share: of the instruments' scaled Gram matrix, below which its directions are none. [convention]
+    enough: J over the number of instruments up to which it does not refute a set. [decisions: slow motion decides: 0.8
+        to 1.5 of five true sets, 5 and more of four false ones]
+    min_fall: of what is left over that, above which another set is better. [convention]
     """
 
     cutoff: Positive = 0.75

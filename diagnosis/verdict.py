@@ -18,7 +18,8 @@ from diagnosis.selection.gust import Gust, signal_of
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import alone, look_alikes, rivals_of
-from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
+from diagnosis.selection.search import IMPOSSIBLE, Scored, Search
+from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Parameter

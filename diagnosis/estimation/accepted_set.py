@@ -16,7 +16,8 @@ from diagnosis.estimation.held_out import HeldOut
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, rivals_of, to_fit
-from diagnosis.selection.search import Search, Selection
+from diagnosis.selection.search import Search
+from diagnosis.selection.selected import Selection
 from dynamics.vehicle import Vehicle
 
 

@@ -25,7 +25,8 @@ def with_exchanges(regression: Regression, accepted: Accepted, dataset: Dataset,
     """The same with effects exchanged where slow motion leaves clearly less of another set, once it has been judged.
 
     What is sought is the set of which slow motion leaves least, with more effects than held-out flights bear out: what
-    stands in for a small one is no exchange for its sake. vehicle: that they are added to.
+    stands in for a small one is no exchange for its sake. Where slow motion refutes that set, too, something else is
+    missing, and none is better than another. vehicle: that they are added to.
     """
     if not accepted.fit.candidates:
         return accepted
@@ -33,7 +34,7 @@ def with_exchanges(regression: Regression, accepted: Accepted, dataset: Dataset,
     if walk.is_within_chance(accepted.fit):
         return accepted
     best = walk.from_fit(accepted.fit)
-    if set(best.keys) == set(accepted.fit.keys):
+    if set(best.keys) == set(accepted.fit.keys) or not walk.is_within_chance(best):
         return accepted
     judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
     return judged if walk.is_better(judged.fit, accepted.fit) else accepted

@@ -16,7 +16,8 @@ from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.pursuit import about, pursue
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.search import IMPOSSIBLE, Search, Selection, select, select_from, select_in_still_air
+from diagnosis.selection.search import IMPOSSIBLE, Search
+from diagnosis.selection.selected import Selection, select, select_from, select_in_still_air
 
 
 def search_jointly(regression: Regression) -> tuple[Regression, Selection]:

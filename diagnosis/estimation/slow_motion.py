@@ -81,7 +81,7 @@ class SlowMotion:
             r.vehicle, r.catalogue, (*r.candidates, *r.nuisances), r.segments[0], r.thresholds.prediction
         )
         rows, columns = unzipped(design.evaluate(segment, instrumented=False) for segment in r.segments)
-        errors = [self._whitened(np.asarray(x, dtype=float)) for _, x in r.errors]
+        errors = [self._whitened(np.asarray(x, dtype=float)) for _, x in r.errors]  # of detection's columns: as large
         across = self._roots @ self._products([self._whitened(x) for x in columns], errors)
         added = [self._whitened(y[:, :, None]) for y, _ in r.errors]
         product = self._roots @ self._products([self._whitened(y[:, :, None]) for y in rows], added)

@@ -3,7 +3,6 @@
 Scores are twice the log-likelihood gained less a penalty for each coefficient, each point of a grid that was tried and
 each effect of the catalogue (extended Bayesian information criterion). Coefficients must lie within physical bounds.
 Every step raises the set's worth, its score less what each of its effects must gain at least, so that the search ends.
-A gust is a nuisance beside the effects, whose strength is estimated again with each set.
 """
 
 from __future__ import annotations
@@ -12,12 +11,12 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import Gust, gust_beside
+from diagnosis.selection.coefficients import coefficient_bounds
 from diagnosis.selection.regression import Regression, solved
 from diagnosis.thresholds import DEFAULT, SearchThresholds
 from dynamics.arrays import Floats
@@ -85,25 +84,6 @@ def min_score(candidates: Sequence[Candidate], thresholds: SearchThresholds = DE
     """Score below which candidates are not claimed."""
     faults = all(c.effect.sensor_prior is not None for c in candidates)
     return thresholds.min_fault_gain if faults else thresholds.min_gain
-
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """What a search has selected.
-
-    chosen: the effects, the most important first.
-    singles: each effect alone at its best grid point, best first.
-    gust_before, gust: random air motion before and after the effects.
-    gust_detected: whether a gust is among what is missing.
-    gust_variance: of the gust that is a nuisance beside the effects, (m/s)^2, named or not.
-    """
-
-    chosen: Scored
-    singles: tuple[Scored, ...]
-    gust_before: Gust
-    gust: Gust
-    gust_detected: bool
-    gust_variance: float = 0.0
 
 
 class Search:
@@ -221,6 +201,13 @@ class Search:
         near = [*self._fewer(chosen), *self._more(chosen), *self._exchanged(chosen)]
         return self._confirmed(chosen, near) or self._confirmed(chosen, [*self._merged(chosen), *self._pairs(chosen)])
 
+    def near(self, chosen: Set) -> list[Scored]:
+        """Sets that are worth more with one effect more, or one or two exchanged, the best first."""
+        own = self.score(chosen)
+        trials = [*self._more(own), *self._exchanged(own), *self._pairs_exchanged(own)]
+        worth_more = self.possible_scores(trials, self.worth(own))
+        return sorted(filter(self._allowed, worth_more), key=lambda scored: -self.worth(scored))
+
     def _confirmed(self, chosen: Scored, trials: Sequence[Set]) -> Scored | None:
         """The trial worth most, if cross-validation shows enough of what it improves."""
         required = self.worth(chosen) + self.thresholds.min_improvement
@@ -267,32 +254,20 @@ class Search:
         return sets
 
     def _pairs(self, chosen: Scored) -> list[Set]:
-        """Two effects more, or in place of one; one of them among the best single additions."""
-        sets = []
-        for rest in (chosen.candidates, *self._fewer(chosen)):
-            additions = self.scores([(*rest, c) for c in self._others(rest)])
-            best = sorted(additions, key=lambda s: -s.score)[: self.thresholds.max_paired]
-            for addition in best:
-                sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
-        return sets
-
-    def near(self, chosen: Set) -> list[Scored]:
-        """Sets that are worth more with one effect more, or one or two exchanged, the best first."""
-        own = self.score(chosen)
-        trials = [*self._more(own), *self._exchanged(own), *self._pairs_exchanged(own)]
-        worth_more = self.possible_scores(trials, self.worth(own))
-        return sorted(filter(self._allowed, worth_more), key=lambda scored: -self.worth(scored))
+        """Two effects more, or in place of one."""
+        return [pair for rest in (chosen.candidates, *self._fewer(chosen)) for pair in self._two_more(rest)]
 
     def _pairs_exchanged(self, chosen: Scored) -> list[Set]:
-        """Two effects in place of two; one of them among the best single additions to the rest."""
-        sets = []
-        for one, other in itertools.combinations(chosen.candidates, 2):
-            rest = _without(_without(chosen.candidates, one), other)
-            additions = self.scores([(*rest, c) for c in self._others(rest)])
-            best = sorted(additions, key=lambda s: -s.score)[: self.thresholds.max_paired]
-            for addition in best:
-                sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
-        return sets
+        """Two effects in place of two."""
+        pairs = itertools.combinations(chosen.candidates, 2)
+        rests = (_without(_without(chosen.candidates, one), other) for one, other in pairs)
+        return [pair for rest in rests for pair in self._two_more(rest)]
+
+    def _two_more(self, rest: Set) -> list[Set]:
+        """Two effects more, one of them among the best single additions."""
+        additions = self.scores([(*rest, c) for c in self._others(rest)])
+        best = sorted(additions, key=lambda s: -s.score)[: self.thresholds.max_paired]
+        return [(*addition.candidates, c) for addition in best for c in self._others(addition.candidates)]
 
     def simplified(self, chosen: Scored) -> Scored:
         """The set with effects exchanged for others of fewer coefficients that gain nearly as much in their place.
@@ -321,190 +296,3 @@ class Search:
 
 def _without(chosen: Set, one: Candidate) -> Set:
     return tuple(c for c in chosen if c is not one)
-
-
-def coefficient_bounds(
-    candidate: Candidate, vehicle: Vehicle, thresholds: SearchThresholds = DEFAULT.search
-) -> tuple[list[float], list[float]]:
-    """Least and greatest possible coefficients of a candidate's columns, with a slack for noise."""
-    if candidate.fixed_shape:
-        low, high = _amplitudes(candidate, thresholds)
-        return [low], [high]
-    parameters = {p.name: p for p in candidate.effect.parameters}
-    free = [(parameters[name], candidate.at[name]) for name in candidate.free]
-    slack = [thresholds.bound_slack * p.prior(vehicle).std for p, _ in free]
-    return (
-        [p.lower - off - at for (p, at), off in zip(free, slack, strict=True)],
-        [p.upper + off - at for (p, at), off in zip(free, slack, strict=True)],
-    )
-
-
-def _amplitudes(candidate: Candidate, thresholds: SearchThresholds) -> tuple[float, float]:
-    """Least and greatest coefficient of a fixed shape, with all parameters within their bounds."""
-    low, high = thresholds.amplitude
-    if candidate.present is not None:  # a correction may be small
-        low = 0.0
-    sizes = candidate.sizes
-    low = max(low, candidate.effect.min_detectable / abs(next(iter(sizes.values()))))
-    for parameter in candidate.effect.parameters:
-        size = sizes[parameter.name]
-        if size:
-            start = candidate.at[parameter.name] - size
-            ends = sorted([(parameter.lower - start) / size, (parameter.upper - start) / size])
-            low, high = max(low, ends[0]), min(high, ends[1])
-    return low, high
-
-
-def possible(
-    candidate: Candidate, theta: Floats, vehicle: Vehicle, thresholds: SearchThresholds = DEFAULT.search
-) -> bool:
-    """Whether coefficients lie within the physical bounds of their parameters."""
-    low, high = coefficient_bounds(candidate, vehicle, thresholds)
-    return bool(np.all((theta >= low) & (theta <= high)))
-
-
-def select(regression: Regression) -> Selection:
-    """The effects that are missing, none where no score reaches its minimum."""
-    thresholds, singles = regression.thresholds.search, Search(regression).singles()
-    before = gust_beside(regression, [])
-    top = Search(regression).first(singles)
-    if top.score < min_score(top.candidates, thresholds):
-        return Selection(Scored((), 0.0, 0.0), singles, before, before, _is_gust(before, regression, 0.0))
-    required = max(_relevant(regression), thresholds.min_share * top.gain)
-    starts: list[tuple[Set, float]] = [(top.candidates, 0.0)]
-    if before.score >= thresholds.min_gain:
-        starts.append(((), before.variance))
-    results = [_searched(regression, candidates, variance, required) for candidates, variance in starts]
-    chosen, variance, _ = max(results, key=lambda one: one[2])
-    return _selection(regression, chosen, variance, required, singles, before)
-
-
-def select_in_still_air(regression: Regression, first: Selection) -> Selection | None:
-    """What the steps lead to without a gust, None where there is none or a drag beside it. first: what they led to.
-
-    A gust acts through a drag, through the usual one of a vehicle that lacks it: it then moves as the vehicle does, and
-    takes the place of the drag and of what resembles one.
-    """
-    drags = [c for c in regression.candidates if c.effect.resists_air]
-    has_drag = any(c.present is not None for c in drags) or any(c.effect.resists_air for c in first.chosen.candidates)
-    if has_drag or not drags or not first.gust_variance:
-        return None
-    required = max(_relevant(regression), regression.thresholds.search.min_share * first.singles[0].gain)
-    search = Search(regression, required)
-    chosen, _, _ = _searched(regression, search.first(first.singles).candidates, 0.0, required, in_still_air=True)
-    return replace(first, chosen=search.ordered(chosen), gust=Gust(), gust_detected=False, gust_variance=0.0)
-
-
-def select_from(
-    regression: Regression, start: Sequence[Candidate], earlier: Selection, max_steps: int | None = None
-) -> Selection:
-    """The effects that are missing, by a search from a set on a regression about the fit of that set.
-
-    max_steps: of the search, by default as many as its thresholds allow.
-    """
-    required, air = _relevant(regression), gust_variance(regression, tuple(start))
-    starts = [(tuple(start), air), *([(one, 0.0) for one in _in_steady_wind(regression, start)] if air else [])]
-    results = [_searched(regression, candidates, variance, required, max_steps) for candidates, variance in starts]
-    chosen, variance, _ = max(results, key=lambda one: one[2])
-    return _selection(regression, chosen, variance, required, earlier.singles, earlier.gust_before)
-
-
-def _in_steady_wind(regression: Regression, start: Sequence[Candidate]) -> list[Set]:
-    """The set with a steady wind, where it has none: in a gust none is worth adding, since that explains it as well.
-
-    No step of a search leads there, since all are taken in one strength of gust.
-    """
-    if any(c.effect.wind is not None for c in start):
-        return []
-    return [(*start, c) for c in regression.candidates if c.effect.wind is not None]
-
-
-def _selection(
-    regression: Regression,
-    chosen: Scored,
-    variance: float,
-    required: float,
-    singles: tuple[Scored, ...],
-    before: Gust,
-) -> Selection:
-    search = Search(regression.in_gust(variance), required)
-    chosen = search.ordered(search.simplified(chosen))
-    after = gust_beside(regression, chosen.columns)
-    detected = _is_gust(after, regression, regression.thresholds.search.min_gust_share * chosen.gain)
-    return Selection(chosen, singles, before, after, detected, variance)
-
-
-def with_gust_beside(regression: Regression, selection: Selection, candidates: Sequence[Candidate]) -> Selection:
-    """The selection with the gust beside certain effects, such as those that were accepted: what was selected and
-    refused may have made room for it."""
-    if {c.key for c in candidates} == {c.key for c in selection.chosen.candidates}:
-        return selection
-    columns = [i for c in candidates for i in c.columns]
-    gust = gust_beside(regression, columns)
-    required = regression.thresholds.search.min_gust_share * regression.gain(columns)
-    return replace(selection, gust=gust, gust_detected=_is_gust(gust, regression, required))
-
-
-def _relevant(regression: Regression) -> float:
-    """Score by which an effect must raise that of the others to matter."""
-    thresholds = regression.thresholds.search
-    return max(thresholds.min_gain, thresholds.relevant * regression.total)
-
-
-def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
-    """Whether random air motion is a gust: clear in most resamples, and surely denser than an estimator's error.
-
-    One as strong as the strongest that was tried stands in for a force that is none of the air.
-    """
-    limits, of_gust = regression.thresholds.relevance, regression.thresholds.gust
-    surely = gust.intensity - limits.deviations * gust.std
-    clear = surely > 0.0 and gust.share >= limits.min_agreement
-    air = of_gust.over_error * regression.pose.as_gust(gust.corner) < surely
-    air &= not _is_strongest(gust, regression)
-    return clear and air and gust.score >= max(_relevant(regression), min_score)
-
-
-def _searched(
-    regression: Regression,
-    start: Set,
-    variance: float,
-    required: float,
-    max_steps: int | None = None,
-    *,
-    in_still_air: bool = False,
-) -> tuple[Scored, float, float]:
-    """The set to which the steps lead from a start, the variance of the gust beside it, and what both are worth.
-
-    in_still_air: whether the variance stays as it is.
-    """
-    search = Search(regression.in_gust(variance), required)
-    chosen = search.score(start)
-    for _ in range(regression.thresholds.search.max_steps if max_steps is None else max_steps):
-        better = search.better(chosen)
-        if better is None:
-            break
-        chosen = better
-        if in_still_air:
-            continue
-        variance = gust_variance(regression, chosen.candidates)
-        if variance != search.regression.gust_variance:
-            search = Search(regression.in_gust(variance), required)
-            chosen = search.score(chosen.candidates)
-    alone = regression.gust_profile([], [0.0, variance]).total()
-    air = float(alone[1] - alone[0]) - (required if variance else 0.0)  # it must gain what an effect must
-    return chosen, variance, search.worth(chosen) + air
-
-
-def gust_variance(regression: Regression, chosen: Set) -> float:
-    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough, or is the strongest that is tried.
-
-    That one stands in for a force that is none of the air: it leaves the forces nothing of slow motion, beside which a
-    drag that is there has impossible values.
-    """
-    gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
-    none = gust.score < regression.thresholds.search.min_gain or _is_strongest(gust, regression)
-    return 0.0 if none else gust.variance
-
-
-def _is_strongest(gust: Gust, regression: Regression) -> bool:
-    return gust.intensity >= (1 - 1e-6) * regression.thresholds.gust.intensity[1]

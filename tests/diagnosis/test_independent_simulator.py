@@ -8,7 +8,7 @@ from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import select
+from diagnosis.selection.selected import select
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
 from dynamics.vehicle import EffectUse

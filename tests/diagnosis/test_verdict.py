@@ -17,7 +17,8 @@ from diagnosis.models.channels import ANGULAR_ACCELERATION
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
-from diagnosis.selection.search import Scored, Search, Selection
+from diagnosis.selection.search import Scored, Search
+from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT
 from diagnosis.verdict import (
     channel_errors,

@@ -18,7 +18,8 @@ from diagnosis.estimation.refusal import Refused
 from diagnosis.estimation.revision import overshadowed_effects, with_small
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
-from diagnosis.selection.search import Search, select
+from diagnosis.selection.search import Search
+from diagnosis.selection.selected import select
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse

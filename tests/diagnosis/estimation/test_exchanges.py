@@ -133,6 +133,12 @@ def test_what_leaves_little_less_is_not_exchanged(proposed, monkeypatch):
     assert exchanged(monkeypatch) == {MASS, TORQUE}
 
 
+def test_a_set_that_slow_motion_refutes_as_well_is_not_taken(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 161.0)
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch) == {MASS, TORQUE}
+
+
 def test_where_slow_motion_leaves_little_more_than_chance_nothing_is_tried(proposed, monkeypatch):
     monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE}), 160.0)
     monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 1.0)

@@ -6,7 +6,7 @@ import pytest
 from diagnosis.selection.air_motion import cosines, spectral_weights
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
-from diagnosis.selection.search import select
+from diagnosis.selection.selected import select
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
 

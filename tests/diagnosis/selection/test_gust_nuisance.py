@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from diagnosis.selection import search
+from diagnosis.selection import selected
 from diagnosis.selection.gust import Gust
 from diagnosis.thresholds import DEFAULT
 
@@ -16,5 +16,5 @@ def test_the_strongest_gust_that_is_tried_is_none(
 ) -> None:
     """It is a force's, and leaves the forces nothing of slow motion."""
     regression: Any = SimpleNamespace(thresholds=DEFAULT)
-    monkeypatch.setattr(search, "gust_beside", lambda *_, **__: Gust(1e4, 1e4, intensity))
-    assert search.gust_variance(regression, ()) == pytest.approx(variance)
+    monkeypatch.setattr(selected, "gust_beside", lambda *_, **__: Gust(1e4, 1e4, intensity))
+    assert selected.gust_variance(regression, ()) == pytest.approx(variance)

@@ -8,8 +8,10 @@ import pytest
 
 from diagnosis.models.pose_errors import PoseErrors
 from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.coefficients import possible
 from diagnosis.selection.gust import Gust
-from diagnosis.selection.search import IMPOSSIBLE, Search, _is_gust, min_score, possible, select
+from diagnosis.selection.search import IMPOSSIBLE, Search, min_score
+from diagnosis.selection.selected import _is_gust, select
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression

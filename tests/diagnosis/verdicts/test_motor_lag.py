@@ -8,8 +8,9 @@ from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.output_error import refit
 from diagnosis.selection.candidates import make_candidates
+from diagnosis.selection.coefficients import possible
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import Search, possible
+from diagnosis.selection.search import Search
 from diagnosis.selection.sensor_errors import sensor_biases
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
