@@ -83,9 +83,10 @@ def test_a_stream_of_10_ms_has_px4s_jitter(link: RawLink) -> None:
     link.set_rate(ODOMETRY, 100.0)
     times = [at for at, _ in link.messages("ODOMETRY", 2.0)]
     gaps = sorted((after - before) * 1e3 for before, after in itertools.pairwise(times))
-    assert statistics.median(gaps) == pytest.approx(10.0, abs=1.5)
-    assert gaps[len(gaps) // 10] < 9.0  # it does jitter: 8 and 12 ms take turns
-    assert gaps[len(gaps) * 9 // 10] < 20.0
+    # 8 and 12 ms take turns, and little lies between them: the median may fall on either side, the mean may not
+    assert statistics.mean(gaps) == pytest.approx(10.0, abs=0.3)
+    assert gaps[len(gaps) // 10] < 9.0
+    assert 11.0 < gaps[len(gaps) * 9 // 10] < 20.0
 
 
 def test_message_interval_reports_the_request_not_what_is_achieved(link: RawLink) -> None:
