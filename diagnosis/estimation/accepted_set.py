@@ -141,8 +141,9 @@ def _fitted_rivals(
             if (keys := frozenset(c.key for c in candidates)) in tried:
                 continue
             tried.add(keys)
-            trial = fit(regression, candidates, vehicle=vehicle, level=level)
-            ratio, alike = trial.chi_square / level, limits.acceptance.max_redundant_ratio
+            alike = limits.acceptance.max_redundant_ratio
+            trial = fit(regression, candidates, vehicle=vehicle, level=level, goal=level * alike)
+            ratio = trial.chi_square / level
             if trial.unsettled or ratio > alike:
                 continue
             slow = beyond_feedback(regression, trial, vehicle)

@@ -40,7 +40,7 @@ def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehic
         for scored in near[: limits.acceptance.max_rivals]:
             trial = [*best[:place], scored.candidates[-1], *best[place + 1 :]]
             level = fit(regression, best, vehicle=vehicle).chi_square
-            if fit(regression, trial, vehicle=vehicle, level=level).chi_square < level - required:
+            if fit(regression, trial, vehicle=vehicle, level=level, goal=level).chi_square < level - required:
                 best = trial
     return best
 
@@ -64,9 +64,9 @@ def _merged_pair(
     trials, level = _for_pairs(search, chosen), 0.0
     for pair, candidates in trials:
         level = level or fit(regression, chosen, vehicle=vehicle).chi_square
-        trial = fit(regression, candidates, vehicle=vehicle, level=level)
-        saved = sum(map(search.penalty, pair)) - search.penalty(candidates[-1])
-        if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
+        saved = (sum(map(search.penalty, pair)) - search.penalty(candidates[-1])) / regression.total
+        trial = fit(regression, candidates, vehicle=vehicle, level=level, goal=level + saved)
+        if not trial.unsettled and trial.chi_square - level < saved:
             return list(candidates)
     return None
 
@@ -118,7 +118,7 @@ def decided_rivals(
     search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
 
     def chi_square(candidates: Sequence[Candidate], of_best: float = math.inf) -> float:
-        fitted = fit(regression, candidates, vehicle=vehicle, level=of_best)
+        fitted = fit(regression, candidates, vehicle=vehicle, level=of_best, goal=of_best)
         return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
 
     for place in range(len(chosen)):

@@ -36,12 +36,14 @@ def fit(
     vehicle: Vehicle | None = None,
     start: Mapping[tuple[str, str], float] | None = None,
     level: float = np.inf,
+    goal: float = np.inf,
 ) -> Fit:
     """Joint fit of candidates on the regression's flights, and of gain and curve of commands where these are logged.
 
     vehicle: that they are added to; by default the regression's. start: values at which the fit begins, by (effect's
     key, parameter); by default the linear solution. level: reduced chi-square of a set that these are compared with; a
-    fit that leaves far more is not made again where its way was not straight.
+    fit that leaves far more is not made again where its way was not straight. goal: that it must reach to count; it is
+    left, unsettled, where its steps do not lead there.
     """
     base = regression.vehicle if vehicle is None else vehicle
     if not (*candidates, *regression.nuisances):
@@ -49,17 +51,18 @@ def fit(
     lacking = with_candidates(base, (*candidates, *regression.nuisances), {})
     fits = _fits.setdefault(regression, [])
     hopeless = regression.thresholds.equation_error.hopeless * level
-    for of, at, before, bound, fitted in fits:  # rivals, trials and the last report ask for the same fits
-        is_whole = hopeless <= bound or fitted.chi_square <= bound
+    limits = np.array([hopeless, goal])
+    for of, at, before, bounds_of_it, fitted in fits:  # rivals, trials and the last report ask for the same fits
+        is_whole = np.all((limits <= bounds_of_it) | (fitted.chi_square <= bounds_of_it))
         if of == tuple(candidates) and at == start and before == lacking and is_whole:
             return fitted
-    fitted = _fitted(regression, candidates, base, start, hopeless=hopeless)
-    fits.append((tuple(candidates), start, lacking, hopeless, fitted))
+    fitted = _fitted(regression, candidates, base, start, hopeless=hopeless, goal=goal)
+    fits.append((tuple(candidates), start, lacking, limits, fitted))
     return fitted
 
 
 _fits: WeakKeyDictionary[
-    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, float, Fit]]
+    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, Floats, Fit]]
 ] = WeakKeyDictionary()
 
 
@@ -71,15 +74,17 @@ def _fitted(
     *,
     slower: float = 1.0,
     hopeless: float = np.inf,
+    goal: float = np.inf,
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base, slower=slower)
-    values, last, left = settle_from_afar(problem, problem.start(start), hopeless * regression.total)
-    chi_square = last.cost / regression.total
-    if problem.reweigh(values):
-        again = settle(problem, values)
-        values, last, left = again.values, again.last, again.left
-        chi_square = problem.chi_square(values)
+    total = regression.total
+    ended = settle_from_afar(problem, problem.start(start), hopeless=hopeless * total, goal=goal * total)
+    chi_square = ended.last.cost / total
+    if not ended.is_short and problem.reweigh(ended.values):
+        ended = settle(problem, ended.values)
+        chi_square = problem.chi_square(ended.values)
+    values, last, left = ended.values, ended.last, ended.left
     covariance = last.covariance + np.outer(left, left)
     covariance += problem.clock_covariance(values, last)
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)

@@ -60,20 +60,20 @@ class Problem(Protocol):
         ...
 
 
-def settle_from_afar(problem: Problem, start: Floats, hopeless: float = np.inf) -> tuple[Floats, Step, Floats]:
+def settle_from_afar(problem: Problem, start: Floats, *, hopeless: float = np.inf, goal: float = np.inf) -> Settled:
     """The same as `settle`, where its way is not straight also from where damped steps lead, whichever fits better.
 
     Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
     run out: an inertia divides the moments, and one step makes it a fifth or five times as large. hopeless: cost above
-    which it is left at that.
+    which it is left at that. goal: cost that it must reach to count; within its bounds it is left where it stops short.
     """
-    first = settle(problem, start)
-    straight = first.is_straight and not problem.at_bounds(first.values).any()
-    if straight or first.last.cost > hopeless:
-        return first.values, first.last, first.left
-    again = settle(problem, _damped(problem, start))
-    best = again if again.last.cost < first.last.cost else first
-    return best.values, best.last, best.left
+    first = settle(problem, start, goal)
+    at_bounds = problem.at_bounds(first.values).any()
+    is_done = (first.is_straight or first.is_short) and not at_bounds
+    if is_done or first.last.cost > hopeless:
+        return first
+    again = settle(problem, _damped(problem, start), goal)
+    return again if again.last.cost < first.last.cost else first
 
 
 def _damped(problem: Problem, start: Floats) -> Floats:
@@ -104,22 +104,24 @@ class Settled:
     """Where Gauss-Newton has ended.
 
     values: (k,). last: the step from there. left: (k,) what of it the bounds allow. is_straight: whether every step was
-    taken as it was, and the last one is small.
+    taken as it was, and the last one is small. is_short: whether its steps no longer led to the goal.
     """
 
     values: Floats
     last: Step
     left: Floats
     is_straight: bool
+    is_short: bool = False
 
 
-def settle(problem: Problem, start: Floats) -> Settled:
+def settle(problem: Problem, start: Floats, goal: float = np.inf) -> Settled:
     """Values to which Gauss-Newton converges.
 
     A step after which the fit is worse and the next step no smaller is halved: along a hidden state's parameters the
-    fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum.
+    fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum. goal: cost that it
+    must reach to count; it ends where two steps in a row take too little off what is above that.
     """
-    thresholds, values, is_straight = problem.thresholds, start, True
+    thresholds, values, is_straight, idle = problem.thresholds, start, True, 0
     here = problem.step(values)
     change = here.change
     for _ in range(thresholds.max_steps):
@@ -131,7 +133,12 @@ def settle(problem: Problem, start: Floats) -> Settled:
         if grown and not (np.isfinite(there.cost) and there.deviations < here.deviations):
             change, is_straight = change / 2, False
             continue
+        idle = idle + 1 if here.cost - there.cost < thresholds.min_approach * (there.cost - goal) else 0
         values, here, change = moved, there, there.change
+        if idle == thresholds.max_idle:
+            break
     else:
         is_straight = False
-    return Settled(values, here, problem.bounded(values, here.change) - values, is_straight)
+    is_short = idle == thresholds.max_idle
+    left = problem.bounded(values, here.change) - values
+    return Settled(values, here, left, is_straight and not is_short, is_short)

@@ -47,7 +47,7 @@ def pursue(regression: Regression, gust_variance: float) -> Pursued | None:
         if best is None or (last is not None and best.chi_square > counts):
             best = _exchanged(here, at.candidates)
             keys = frozenset(best.keys)
-            if keys in tried or (last is not None and best.chi_square > last.chi_square):
+            if keys in tried or (last is not None and (set(last.keys) == keys or best.chi_square > last.chi_square)):
                 break
             tried.add(keys)
         again = about(at.regression, own, nuisances, best)
@@ -65,7 +65,7 @@ def _best_addition(regression: Regression, present: Sequence[Candidate], last: F
     values, best = None if last is None else last.values, None
     for candidates in _proposed(Search(regression), present):
         level = math.inf if best is None else best.chi_square
-        trial = fit(regression, candidates, start=values, level=level)
+        trial = fit(regression, candidates, start=values, level=level, goal=level)
         best = trial if trial.chi_square < level else best
     return best
 

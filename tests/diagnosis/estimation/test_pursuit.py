@@ -48,7 +48,7 @@ def fits(monkeypatch):
                 for s in sets
             ]
 
-    def fit(regression, candidates, start=None, level=None):
+    def fit(regression, candidates, start=None, level=None, goal=None):
         keys = frozenset(c.key for c in candidates)
         tried.append(keys)
         return SimpleNamespace(keys=keys, chi_square=LEFT.get(keys, 50.0), values={}, unsettled=frozenset())
