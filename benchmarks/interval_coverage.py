@@ -25,7 +25,7 @@ from benchmarks.provenance import write_result
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.data.segment import Segment, segments
 from diagnosis.estimation.equation_error import fit
-from diagnosis.estimation.joint_search import about_values
+from diagnosis.estimation.pursuit import about_values
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
 from diagnosis.selection.regression import Regression

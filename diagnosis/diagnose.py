@@ -42,7 +42,7 @@ from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.selected import Selection, with_gust_beside
-from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
 from diagnosis.verdict import (
     channel_errors,
     considered,
@@ -151,10 +151,18 @@ def diagnose_dataset(
     )
 
 
-def _standing_in(regression: Regression, accepted: Accepted, rows: Sequence[Floats]) -> tuple[Refused, ...]:
-    """Effects whose form stands in for what is missing. rows: (m, 12) residuals of the fit."""
-    drifting = drifting_effects(regression, accepted.fit, rows)
-    return drifting or overshadowed_effects(accepted, regression.thresholds.consistency)
+def _standing_in(regression: Regression, accepted: Accepted, judged: _Judged) -> tuple[Refused, ...]:
+    """Effects whose form stands in for what is missing. judged: what the residuals of the fit say."""
+    rejected = bool(judged.rejected)
+    drifting = drifting_effects(regression, accepted.fit, judged.fitted, rejected=rejected)
+    return drifting or (overshadowed_effects(accepted, regression.thresholds.consistency) if rejected else ())
+
+
+def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:
+    """Whether a load is among the effects whose swing explains as much as is left: what its phase may leave."""
+    loads = [c for c in accepted.fit.candidates if c.effect.hidden and c.effect.rotor_speed is None]
+    changes = [change for load in loads for change in accepted.relevance[load.key].values()]
+    return any(change.share_of_left >= limits.min_swinging for change in changes)
 
 
 def _late_signals(refused: Sequence[Refused]) -> list[str]:
@@ -271,7 +279,7 @@ class _Judgement:
             tests = run_residual_tests(regression, fitted, by_position=True, gust=gust)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
-        rejected = self._rejected(accepted.fit, tests, after, gusty=gusty)
+        rejected = self._rejected(accepted, tests, after, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
     def revised(self, accepted: Accepted) -> tuple[Accepted, _Judged]:
@@ -280,7 +288,7 @@ class _Judgement:
         while late := effects_of_late_signal(regression, accepted.fit, judged.fitted):
             accepted = without(regression, accepted, late, dataset)
             judged = self.of(accepted)
-        while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
+        while standing_in := _standing_in(regression, accepted, judged):
             accepted = without(regression, accepted, standing_in, dataset)
             judged = self.of(accepted)
         if judged.rejected and (more := with_small(regression, accepted, self._selected.chosen.candidates, dataset)):
@@ -290,15 +298,13 @@ class _Judgement:
         return accepted, judged
 
     def _rejected(
-        self, accepted: Fit, tests: ResidualTests, after: list[Floats], *, gusty: bool
+        self, accepted: Accepted, tests: ResidualTests, after: list[Floats], *, gusty: bool
     ) -> tuple[Rejection, ...]:
         """The tests that reject, and that by typical held-out windows unless the model has a swinging load."""
-        regression = self._regression
-        swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
-        typical = None
-        if not swinging:
+        regression, typical = self._regression, None
+        if not _swings(accepted, regression.thresholds.verdict):
             typical = typical_chi_square(self._before, regression), typical_chi_square(after, regression)
-        tests_before = self._tests_before if accepted.candidates else tests
+        tests_before = self._tests_before if accepted.fit.candidates else tests
         return rejections(tests, tests_before, typical, gusty=gusty, thresholds=regression.thresholds.verdict)
 
     @cached_property

@@ -653,11 +653,15 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
 
 
 class ConsistencyThresholds(ThresholdGroup, frozen=True):
-    """Whether an effect has one value, asked where a test of the residuals rejects.
+    """Whether an effect has one value.
 
     max_drift: of its signal between where it acts strongly and weakly, or early and late in a flight, over the signal.
     [benchmarks/verdicts.py: right forms 0.00 to 0.08, a form in place of another from 0.3]
     deviations: of that difference from none, that is not chance. [convention: 95 %]
+    sure: the same, above which an effect has no one value though no test of the residuals rejects. [decisions: a
+        constant that warms up]
+    min_over_noise: RMS of what the difference explains over the noise, above which that is so. [definition: 0.2 raises
+        the error by 2 %]
     min_share_of_left: squared error that an effect explains over what is left above the floor, in the kind of channel
         that falls most. [benchmarks/verdicts.py: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
         floor has 0.05 beside one of 5 times]
@@ -666,6 +670,8 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
 
     max_drift: Share = 0.2
     deviations: Positive = 2.0
+    sure: Positive = 5.0
+    min_over_noise: Score = 0.2
     min_share_of_left: Score = 0.05
     min_share_of_axis: Score = 0.25
 
@@ -701,6 +707,10 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     much is twice the floor]
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: air in motion is no
     function of the state]
+    max_line_in_gust: share of a gust's power that a line in the spectrum may have. [decisions: a load that swings is no
+    gust]
+    min_swinging: squared error that a load which swings explains over what is left above the floor, below which its
+    phase excuses nothing. [definition: what is left is more than the load]
     resamples: of flights, for the confidence. [margins: neither]
     """
 
@@ -714,6 +724,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_share: Share = 0.03
     max_excused: Score = 1.75
     max_gust_predictable: Share = 0.35
+    max_line_in_gust: Share = 0.1
+    min_swinging: Score = 1.0
     resamples: Count = 40
 
 

@@ -14,7 +14,7 @@ from diagnosis.models import channels
 from diagnosis.models.command_effects import seen_as
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import Gust, signal_of
+from diagnosis.selection.gust import Gust, signal_of, turbulence_of
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import alone, look_alikes, rivals_of
@@ -32,7 +32,8 @@ def gust_refusal(
     """Why a gust that was detected is not named, None where it is named or none was detected.
 
     Air in motion is no function of the vehicle's state nor of its position: what a function of these predicts on
-    flights left out is no gust. Nor is one named that would not raise the error of any axis by what matters.
+    flights left out is no gust. Nor has it a line in its spectrum, as a load that swings. Nor is one named that would
+    not raise the error of any axis by what matters.
     """
     if not selection.gust_detected or selection.gust.effect is None:
         return None
@@ -44,12 +45,32 @@ def gust_refusal(
         for test, where in (("predictable_from_state", "state"), ("position_dependent", "position"))
         if tests.over_floor(test) > thresholds.min_over_floor
     }
-    where = max(shares, key=lambda place: shares[place], default="")
-    if not where or shares[where] <= thresholds.max_gust_predictable:
+    where, required = max(shares, key=lambda place: shares[place], default=""), thresholds.max_gust_predictable
+    if not where or shares[where] <= required:
+        shares["line"], where, required = (
+            _share_of_line(regression, selection.gust, tests),
+            "line",
+            thresholds.max_line_in_gust,
+        )
+    if shares[where] <= required:
         return None
     strength = {selection.gust.effect.parameters[0].name: selection.gust.intensity}
-    detail = {"share": shares[where], "required": thresholds.max_gust_predictable}
-    return Refused(selection.gust.effect.name, None, "predictable", detail, where, strength)
+    return Refused(
+        selection.gust.effect.name, None, "predictable", {"share": shares[where], "required": required}, where, strength
+    )
+
+
+def _share_of_line(regression: Regression, gust: Gust, tests: ResidualTests) -> float:
+    """Power of a line in the spectrum of a force over that of a gust there, where the line is one beyond doubt."""
+    limits, line, signal = (
+        regression.thresholds.verdict,
+        tests.findings.get("spectral_line"),
+        turbulence_of(gust, regression),
+    )
+    if line is None or signal is None or signal[line.channel] <= 0:
+        return 0.0
+    is_line = tests.spectral_line > max(limits.max_line, tests.line_by_chance)
+    return float((line.rms / signal[line.channel]) ** 2) if is_line and line.over_floor > limits.min_over_floor else 0.0
 
 
 def _small_gust(regression: Regression, gust: Gust) -> Refused | None:

@@ -150,8 +150,8 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
             "rates_in_degrees",
             f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
         )
-    scaled = not _SAME_SIZE[0] < ratio < _SAME_SIZE[1] and not _clips(on_grid["rate"])
-    if scaled and _agreement(turning, rate) > _AGREEMENT:
+    agreement = _agreement(turning, rate)
+    if agreement > _AGREEMENT and not _may_be_one_size(ratio, agreement) and not _clips(on_grid["rate"]):
         return Contradiction(
             "rate_unit",
             f"the body rates are {ratio:.2f} times those by which the attitude turns. Wanted rad/s; check the scale.",
@@ -277,10 +277,10 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
 def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:
     """The change of position and the velocity must be of one size. Both: (n, 3) m/s."""
     moved, velocity = moved - np.median(moved, axis=0), velocity - np.median(velocity, axis=0)
-    if _rms(velocity) < _MIN_SPEED or _rms(moved) == 0.0 or _agreement(moved, velocity) < _AGREEMENT:
+    if _rms(velocity) < _MIN_SPEED or _rms(moved) == 0.0:
         return None
-    ratio = _rms(moved) / _rms(velocity)
-    if _SAME_SIZE[0] < ratio < _SAME_SIZE[1]:
+    ratio, agreement = _rms(moved) / _rms(velocity), _agreement(moved, velocity)
+    if agreement < _AGREEMENT or _may_be_one_size(ratio, agreement):
         return None
     names = {1000.0: "mm", 100.0: "cm"}
     guess = ""
@@ -474,6 +474,14 @@ def _clock_offset(one: Floats, other: Floats) -> tuple[float, float]:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _may_be_one_size(ratio: float, agreement: float) -> bool:
+    """Whether two signals of one size may have such a ratio of RMS: of slow motion one may be noise for the most part.
+
+    Noise in one of two equal signals makes it larger by the inverse of their correlation.
+    """
+    return _SAME_SIZE[0] * agreement < ratio < _SAME_SIZE[1] / agreement
 
 
 def _agreement(one: Floats, other: Floats) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,21 @@ class Drift:
 
     share: RMS of the whitened signal of the difference over that of the effect, both on all rows.
     deviations: standard deviations of the difference from none.
+    over_noise: RMS of that signal over the noise, as of one channel, in the half of the flights where it is less; 0 of
+        other parts, of which one may hardly move as the other does.
     """
 
     share: float
     deviations: float
+    over_noise: float = 0.0
 
     def matters(self, limits: ConsistencyThresholds = DEFAULT.consistency) -> bool:
         """Whether it is more than chance, and large."""
         return self.share > limits.max_drift and self.deviations > limits.deviations
+
+    def refutes(self, limits: ConsistencyThresholds = DEFAULT.consistency) -> bool:
+        """Whether it is so much that the effect is none of one value, whatever else the flights show."""
+        return self.matters(limits) and self.deviations > limits.sure and self.over_noise > limits.min_over_noise
 
 
 def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[str, Drift]:
@@ -53,7 +60,7 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
     blocks = list(_blocks(regression, rows, where))
     grams, products = np.array([b.gram for b in blocks]), np.array([b.product for b in blocks])
     early, limits = np.array([b.early for b in blocks]), regression.thresholds.consistency
-    flight = np.array([b.flight for b in blocks])
+    flight, count = np.array([b.flight for b in blocks]), regression.total / len(regression.noise.active)
     results, begin = {}, 0
     for candidate in fitted.candidates:
         own = list(range(begin, begin + len(candidate.columns)))
@@ -61,8 +68,9 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
         theta = coefficients(fitted, candidate)
         power = np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta)
         strong = _strongest_half(power), _strongest_half(np.bincount(flight, power).astype(float))[flight]
-        parts = [_drift(grams, products, prior, own, theta, part) for part in (*strong, early)]
-        results[candidate.key] = max(parts, key=lambda drift: (drift.matters(limits), drift.share))
+        unlike = [replace(_drift(grams, products, prior, own, theta, part, count), over_noise=0.0) for part in strong]
+        parts = [*unlike, _drift(grams, products, prior, own, theta, early, count)]
+        results[candidate.key] = max(parts, key=lambda one: (one.refutes(limits), one.matters(limits), one.share))
     return results
 
 
@@ -98,11 +106,17 @@ def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]
 
 
 def _drift(
-    grams: Floats, products: Floats, prior: Floats, own: Sequence[int], theta: Floats, part: NDArray[np.bool_]
+    grams: Floats,
+    products: Floats,
+    prior: Floats,
+    own: Sequence[int],
+    theta: Floats,
+    part: NDArray[np.bool_],
+    count: float,
 ) -> Drift:
     """The difference of one effect between a part of the blocks and the rest.
 
-    grams, products: (b, k, k) and (b, k) of blocks. own: its columns, at theta. part: (b,).
+    grams, products: (b, k, k) and (b, k) of blocks. own: its columns, at theta. part: (b,). count: rows of a channel.
     """
     if part.all() or not part.any():
         return Drift(0.0, 0.0)
@@ -110,8 +124,13 @@ def _drift(
     difference = (one - other)[own]
     signal = _beyond(grams.sum(axis=0) + prior, own)
     size = float(theta @ signal @ theta)
-    share = np.sqrt(max(float(difference @ signal @ difference), 0.0) / max(size, 1e-300))
-    return Drift(float(share), deviations_of(difference, (one_spread + other_spread)[np.ix_(own, own)]))
+    apart = max(float(difference @ signal @ difference), 0.0)
+    deviations = deviations_of(difference, (one_spread + other_spread)[np.ix_(own, own)])
+    shown = min(
+        float(difference @ _beyond(grams[some].sum(axis=0) + prior, own) @ difference) / some.mean()
+        for some in (part, ~part)
+    )
+    return Drift(float(np.sqrt(apart / max(size, 1e-300))), deviations, float(np.sqrt(max(shown, 0.0) / count)))
 
 
 def _strongest_half(power: Floats) -> NDArray[np.bool_]:

@@ -96,6 +96,8 @@ def reason_of(refused: Refused) -> str:
                 f"it explains {number['share']} of the squared error of {refused.where} that is still unexplained; "
                 "some form explains as little of anything"
             )
+        case "predictable" if refused.where == "line":
+            text = f"air in motion has no line in its spectrum, but one has {number['share']} of the power of this one"
         case "predictable":
             text = (
                 f"air in motion is no function of the {refused.where}, but that predicts {number['share']} of what it "

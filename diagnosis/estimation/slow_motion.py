@@ -107,7 +107,8 @@ class SlowMotion:
 
     def _whitened(self, columns: Floats) -> Floats:
         """(m c, k) of columns (m, 12, k)."""
-        return self._regression.noise.whiten(columns).reshape(-1, columns.shape[2])
+        white = self._regression.noise.whiten(columns)
+        return white.reshape(white.shape[0] * white.shape[1], columns.shape[2])
 
 
 def _roots(gram: Floats, min_share: float) -> Floats:

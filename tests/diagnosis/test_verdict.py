@@ -139,6 +139,29 @@ def test_what_state_or_place_predict_is_no_gust(arpl_250g):
     assert gust_refusal(of_all, calm, results(state=2.0)) is None
 
 
+def test_what_has_a_line_in_its_spectrum_is_no_gust(arpl_250g):
+    """A load that swings was air of 0.27 m/s, by all resamples."""
+    random = np.random.default_rng(0)
+    slopes = np.zeros((80, CHANNELS, 2))
+    slopes[:, 0, 0] = slopes[:, 1, 1] = 2.0
+    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
+    of_all = regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows)
+    air = Gust(1e3, 1e3, 0.5, 1e-3, 1.0, effect=CATALOGUE["gust"])
+    selection = Selection(Scored((), 0.0, 0.0), (), air, air, True)
+
+    def with_line(power, rms):
+        line = Finding("spectral_line", 0, rms, rms, ())
+        return ResidualTests(0.0, 0.0, power, findings={"spectral_line": line}, line_by_chance=12.0)
+
+    assert gust_refusal(of_all, selection, with_line(50.0, 0.25)) is None  # air of 0.5 m/s moves that axis by 1
+    assert gust_refusal(of_all, selection, with_line(11.0, 0.7)) is None  # as strong a line comes by chance
+    answer = gust_refusal(of_all, selection, with_line(50.0, 0.7))
+    assert answer is not None
+    assert (answer.reason, answer.where) == ("predictable", "line")
+    assert answer.detail["share"] == pytest.approx(0.49)
+    assert "no line in its spectrum, but one has 0.49" in reason_of(answer)
+
+
 def test_air_that_moves_nothing_by_what_matters_is_no_gust(arpl_250g):
     """An estimate's noise is air of a centimetre a second to a vehicle with much drag, surely and on every flight."""
     random, name = np.random.default_rng(0), CATALOGUE["gust"].parameters[0].name

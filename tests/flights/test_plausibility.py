@@ -125,6 +125,18 @@ def test_an_estimators_error_is_no_exchange_of_axes() -> None:
     assert plausibility.check(climbing(0.5)) == ()
 
 
+@pytest.mark.parametrize(("scale", "found"), [(1.0, []), (0.3048, ["position_unit"])])
+def test_what_an_estimator_errs_in_slow_motion_is_no_unit(scale: float, found: list[str]) -> None:
+    """The velocity errs by more than the vehicle moves: it is 1.7 times the position's change, and agrees with half of
+    it. A position in another unit changes by less than that explains."""
+    time = np.arange(0.0, 20.0, 0.02)
+    moves = 0.24 * np.column_stack([np.cos(0.9 * time), np.sin(0.7 * time), np.cos(1.3 * time)])
+    error = 0.33 * np.column_stack([np.sin(0.5 * time), np.cos(0.4 * time), np.sin(0.6 * time)])
+    position = np.cumsum(moves, axis=0) * 0.02
+    streams = [Stream("position", time, scale * position, ""), Stream("velocity", time, moves + error, "")]
+    assert [finding.name for finding in plausibility.check(streams)] == found
+
+
 def tumbling(fall: float) -> list[Stream]:
     """10 s in which a vehicle rolls over once a second and falls by `fall` m/s^2, air drag and thrust as they come."""
     time = np.arange(0.0, 10.0, 0.005)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -40,6 +41,7 @@ def test_the_right_form_has_one_value(arpl_250g, seed):
     drift = drifts(*fitted(arpl_250g, lambda speed: 2.0 * speed, seed=seed))["drag"]
     assert drift.share < 0.1
     assert not drift.matters()
+    assert not drift.refutes()
 
 
 def test_a_form_that_stands_in_for_another_drifts(arpl_250g):
@@ -53,6 +55,17 @@ def test_a_constant_that_stands_in_for_what_warms_up_drifts(arpl_250g):
     warming = 1 - np.exp(-np.arange(ROWS) / 150)[:, None]
     drift = drifts(*fitted(arpl_250g, lambda speed: warming * speed))["drag"]
     assert drift.matters()
+    assert drift.refutes()
+
+
+def test_a_difference_that_is_sure_and_moves_nothing_by_what_matters_refutes_nothing(arpl_250g):
+    factor = np.where(np.arange(ROWS) < ROWS / 2, 0.05, 0.15)[:, None]
+    drift = drifts(*fitted(arpl_250g, lambda speed: factor * speed, sizes=(1.0, 1.0, 1.0, 1.0)))["drag"]
+    sure = msgspec.structs.replace(DEFAULT.consistency, deviations=1.0, sure=1.0)
+    assert 0.05 < drift.over_noise < sure.min_over_noise
+    assert drift.matters(sure)
+    assert not drift.refutes(sure)
+    assert drift.refutes(msgspec.structs.replace(sure, min_over_noise=0.05))
 
 
 def test_a_form_with_another_value_in_other_flights_drifts(arpl_250g):

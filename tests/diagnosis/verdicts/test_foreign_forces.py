@@ -24,6 +24,7 @@ def diagnosed(tmp_path_factory):
     hidden = {
         "dry_drag": {"dry_drag": {"force": 0.5 * frame.mass}},
         "crosswise_lift": {"crosswise_lift": {"coefficient": 0.4 * frame.mass}},
+        "warming": {"warming": {"loss": 0.022}},
         "gust": {"gust": {"intensity": 1.5, "correlation_time": 1.2}},
     }
     drag = {"linear_drag": sized("linear_drag", frame, np.random.default_rng(0))}
@@ -45,6 +46,14 @@ def test_a_force_outside_the_catalogue_is_unknown_and_nothing_is_named(diagnosed
     assert diagnosis.effects == ()
     assert ("gust", "predictable") in [(one.name, one.reason) for one in diagnosis.refused]
     assert "predictable_from_state" in [one.test for one in diagnosis.leftover]
+
+
+def test_a_constant_that_stands_in_for_what_warms_up_is_not_named(diagnosed):
+    """It halves the error: no test of the residuals rejects what is left, and all resamples agree on it."""
+    diagnosis = diagnosed["warming"]
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.effects == ()
+    assert ("thrust_constant", "drifts") in [(one.name, one.reason) for one in diagnosis.refused]
 
 
 def test_a_gust_is_one(diagnosed):
