@@ -117,6 +117,19 @@ def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fi
     follows from it does, too. Chance is by the covariance of the change: the fit knows what the slower one knows
     (Hausman, 1978). vehicle: that the effects were added to.
     """
+    known = _beyond.setdefault(regression, [])
+    for of, before, result in known:  # each effect that is judged asks for the same fits again
+        if of is fitted and before == vehicle:
+            return result
+    result = _slower_where_moved(regression, fitted, vehicle)
+    known.append((fitted, vehicle, result))
+    return result
+
+
+_beyond: WeakKeyDictionary[Regression, list[tuple[Fit, Vehicle, Fit]]] = WeakKeyDictionary()
+
+
+def _slower_where_moved(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
     limits = regression.thresholds.equation_error
     scaling = [candidate for candidate in fitted.candidates if scales_rotors(candidate)]
     if not scaling:
