@@ -39,8 +39,9 @@ def accepted_fit(
         accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
     accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
     accepted = _with_rivals_that_need_less(regression, accepted, dataset, lacking)
-    if not (selection.gust_variance or regression.pose.there):  # air and an estimator's errors are as slow
-        accepted = with_exchanges(regression, accepted, dataset, lacking)
+    if not regression.pose.there:  # an estimator's errors are as slow
+        in_gust = selection.gust_variance > 0
+        accepted = with_exchanges(regression, accepted, dataset, lacking, in_gust=in_gust)
     return _with_damage_before_sensors(regression, accepted, dataset, lacking)
 
 

@@ -6,7 +6,7 @@ beside an inflow to a drag of the body beside a damping: each exchange of one of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from diagnosis.data.dataset import Dataset
@@ -17,24 +17,26 @@ from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.slow_motion import SlowMotion
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.search import Search, Set
+from diagnosis.selection.search import Scored, Search, Set
 from dynamics.vehicle import Vehicle
 
 
-def with_exchanges(regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle) -> Accepted:
+def with_exchanges(
+    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle, *, in_gust: bool = False
+) -> Accepted:
     """The same with effects exchanged where slow motion leaves clearly less of another set, once it has been judged.
 
     What is sought is the set of which slow motion leaves least, with more effects than held-out flights bear out: what
     stands in for a small one is no exchange for its sake. Where slow motion refutes that set, too, something else is
-    missing, and none is better than another. vehicle: that they are added to.
+    missing, and none is better than another. Of a set that it does not refute, two effects may be one of another name.
+    vehicle: that they are added to. in_gust: whether the air moves, which is as slow and refutes any set.
     """
     if not accepted.fit.candidates:
         return accepted
     walk = _Walk(regression, vehicle)
-    if walk.is_within_chance(accepted.fit):
-        return accepted
-    best = walk.from_fit(accepted.fit)
-    if set(best.keys) == set(accepted.fit.keys) or not walk.is_within_chance(best):
+    right = in_gust or walk.is_within_chance(accepted.fit)
+    best = walk.merged(accepted.fit) if right else walk.from_fit(accepted.fit)
+    if set(best.keys) == set(accepted.fit.keys) or not (right or walk.is_within_chance(best)):
         return accepted
     judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
     return judged if walk.is_better(judged.fit, accepted.fit) else accepted
@@ -50,13 +52,27 @@ class _Walk:
 
     def from_fit(self, fitted: Fit) -> Fit:
         """The fit from where no further step leaves clearly less."""
-        regression, vehicle = self._regression, self._vehicle
         while True:
-            trials = [fit(regression, s, vehicle=vehicle, level=fitted.chi_square) for s in self._near(fitted)]
+            trials = self._fits(Search.near, fitted)
             best = min((trial for trial in trials if not trial.unsettled), key=self._cost, default=fitted)
             if not self.is_better(best, fitted):
                 return fitted
             fitted = best
+
+    def merged(self, fitted: Fit) -> Fit:
+        """The fit with one effect in place of two, again and again, where that leaves as much of all motion, too."""
+        while len(fitted.candidates) > 1:
+            trials = self._fits(Search.merged, fitted)
+            best = min((trial for trial in trials if self._is_as_good(trial, fitted)), key=self._cost, default=fitted)
+            if not self.is_better(best, fitted):
+                break
+            fitted = best
+        return fitted
+
+    def _is_as_good(self, trial: Fit, fitted: Fit) -> bool:
+        """Whether a fit leaves no more of all motion than the coefficients cost that it saves."""
+        saved = self._penalty(fitted) - self._penalty(trial)
+        return not trial.unsettled and (trial.chi_square - fitted.chi_square) * self._regression.total < saved
 
     def is_within_chance(self, fitted: Fit) -> bool:
         """Whether slow motion leaves little more than it would of noise."""
@@ -70,14 +86,22 @@ class _Walk:
         return self._cost(one) <= self._cost(other) - max(limits.rivals.score_margin, required)
 
     def _cost(self, fitted: Fit) -> float:
-        return self._left(fitted) + sum(map(self._search.penalty, fitted.candidates))
+        return self._left(fitted) + self._penalty(fitted)
+
+    def _penalty(self, fitted: Fit) -> float:
+        return sum(map(self._search.penalty, fitted.candidates))
 
     def _left(self, fitted: Fit) -> float:
         if fitted not in self._results:
             self._results[fitted] = self._slow.left(fitted, self._vehicle)
         return self._results[fitted]
 
-    def _near(self, fitted: Fit) -> list[Set]:
+    def _fits(self, propose: Callable[[Search, Set], Sequence[Scored]], fitted: Fit) -> list[Fit]:
+        """Fits of the best of the sets that a search about a fit proposes."""
+        proposed = self._proposed(propose, fitted)
+        return [fit(self._regression, s, vehicle=self._vehicle, level=fitted.chi_square) for s in proposed]
+
+    def _proposed(self, propose: Callable[[Search, Set], Sequence[Scored]], fitted: Fit) -> list[Set]:
         """Sets that leave less by columns about a fit, the best first.
 
         Of those that add the same, or more than that, the best one.
@@ -86,7 +110,7 @@ class _Walk:
         if search is None:
             return []
         best, added = list[Set](), list[set[str]]()
-        for scored in search.near(_of(search.regression, fitted.candidates)):
+        for scored in propose(search, _of(search.regression, fitted.candidates)):
             new = {c.key for c in scored.candidates} - set(fitted.keys)
             if new and not any(new >= before for before in added):
                 added.append(new)

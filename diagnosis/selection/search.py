@@ -204,7 +204,14 @@ class Search:
     def near(self, chosen: Set) -> list[Scored]:
         """Sets that are worth more with one effect more, or one or two exchanged, the best first."""
         own = self.score(chosen)
-        trials = [*self._more(own), *self._exchanged(own), *self._pairs_exchanged(own)]
+        return self._worth_more(own, [*self._more(own), *self._exchanged(own), *self._pairs_exchanged(own)])
+
+    def merged(self, chosen: Set) -> list[Scored]:
+        """Sets that are worth more with one effect in place of two, the best first."""
+        own = self.score(chosen)
+        return self._worth_more(own, self._merged(own))
+
+    def _worth_more(self, own: Scored, trials: Sequence[Set]) -> list[Scored]:
         worth_more = self.possible_scores(trials, self.worth(own))
         return sorted(filter(self._allowed, worth_more), key=lambda scored: -self.worth(scored))
 

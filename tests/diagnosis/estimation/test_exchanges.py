@@ -23,6 +23,7 @@ LEFT = {  # by slow motion, of the joint fits
     frozenset({MASS, DAMPING}): 4000.0,
     frozenset({THRUST, DAMPING}): 70.0,
 }
+CHI_SQUARE: dict[frozenset[str], float] = {}
 NAMES = (MASS, THRUST, TORQUE, DAMPING, INERTIA)
 
 
@@ -33,7 +34,7 @@ def candidate(name):
     )
 
 
-REGRESSION = SimpleNamespace(candidates=tuple(map(candidate, NAMES)), nuisances=(), thresholds=DEFAULT)
+REGRESSION = SimpleNamespace(candidates=tuple(map(candidate, NAMES)), nuisances=(), thresholds=DEFAULT, total=1000)
 
 
 def of(*names):
@@ -50,7 +51,7 @@ class Joint:
 
 def fitted(*names):
     keys = frozenset(names)
-    return Joint(of(*names), tuple(keys), frozenset(), LEFT.get(keys, 9000.0))
+    return Joint(of(*names), tuple(keys), frozenset(), CHI_SQUARE.get(keys, 1.0))
 
 
 @pytest.fixture
@@ -76,6 +77,9 @@ def proposed(monkeypatch):
         def near(self, chosen):
             return [SimpleNamespace(candidates=of(*names)) for names in sets.get(self.about, [])]
 
+        def merged(self, chosen):
+            return [scored for scored in self.near(chosen) if len(scored.candidates) < len(self.about)]
+
     def joint(regression, some, vehicle, level):
         return fitted(*(c.key for c in some))
 
@@ -86,13 +90,13 @@ def proposed(monkeypatch):
     return sets
 
 
-def exchanged(monkeypatch, judge=lambda names: names):
+def exchanged(monkeypatch, judge=lambda names: names, **options):
     def judged(regression, candidates, dataset, vehicle, refused):
         return SimpleNamespace(fit=fitted(*judge({c.key for c in candidates})), refused=refused)
 
     monkeypatch.setattr(exchanges, "judged_fit", judged)
     accepted = SimpleNamespace(fit=fitted(MASS, TORQUE), refused=())
-    return set(exchanges.with_exchanges(REGRESSION, accepted, None, None).fit.keys)
+    return set(exchanges.with_exchanges(REGRESSION, accepted, None, None, **options).fit.keys)
 
 
 def test_two_are_exchanged_at_once_where_either_alone_leaves_more(proposed, monkeypatch):
@@ -144,6 +148,23 @@ def test_where_slow_motion_leaves_little_more_than_chance_nothing_is_tried(propo
     monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 1.0)
     proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
     assert exchanged(monkeypatch) == {MASS, TORQUE}
+
+
+def test_two_effects_that_slow_motion_does_not_refute_may_be_one_of_another_name(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE}), 160.0)
+    monkeypatch.setitem(LEFT, frozenset({THRUST}), 150.0)
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING), (THRUST,)]
+    assert exchanged(monkeypatch) == {THRUST}
+    monkeypatch.setitem(CHI_SQUARE, frozenset({THRUST}), 1.02)  # of 1000: more than the one that is saved costs
+    assert exchanged(monkeypatch) == {MASS, TORQUE}
+
+
+def test_in_a_gust_which_refutes_any_set_effects_are_merged_alone(proposed, monkeypatch):
+    monkeypatch.setitem(LEFT, frozenset({THRUST}), 2500.0)
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch, in_gust=True) == {MASS, TORQUE}
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING), (THRUST,)]
+    assert exchanged(monkeypatch, in_gust=True) == {THRUST}
 
 
 @pytest.fixture(scope="module")
