@@ -293,7 +293,7 @@ class _Judgement:
             judged = self.of(accepted)
         if judged.rejected and (more := with_small(regression, accepted, self._selected.chosen.candidates, dataset)):
             with_more = self.of(more)
-            if not with_more.rejected:
+            if not (with_more.rejected or _standing_in(regression, more, with_more)):
                 return more, with_more
         return accepted, judged
 
