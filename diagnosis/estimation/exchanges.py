@@ -39,7 +39,8 @@ def with_exchanges(
     if set(best.keys) == set(accepted.fit.keys) or not (right or walk.is_within_chance(best)):
         return accepted
     judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
-    return judged if walk.is_better(judged.fit, accepted.fit) else accepted
+    is_better = bool(judged.fit.candidates) and walk.is_better(judged.fit, accepted.fit)
+    return judged if is_better else accepted
 
 
 class _Walk:

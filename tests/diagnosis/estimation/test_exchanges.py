@@ -131,6 +131,13 @@ def test_what_held_out_flights_refuse_is_not_exchanged(proposed, monkeypatch):
     assert exchanged(monkeypatch, judge=lambda names: names - {DAMPING}) == {MASS, TORQUE}
 
 
+def test_a_set_of_which_held_out_flights_leave_nothing_is_no_exchange(proposed, monkeypatch):
+    """Slow motion is not asked about no effect at all: that raised an error."""
+    monkeypatch.setattr(exchanges._Walk, "_left", lambda self, fitted: LEFT[frozenset(fitted.keys)])
+    proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
+    assert exchanged(monkeypatch, judge=lambda names: names - {THRUST, DAMPING}) == {MASS, TORQUE}
+
+
 def test_what_leaves_little_less_is_not_exchanged(proposed, monkeypatch):
     monkeypatch.setitem(LEFT, frozenset({THRUST, DAMPING}), 2700.0)
     proposed[frozenset({MASS, TORQUE})] = [(THRUST, DAMPING)]
