@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +20,7 @@ def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> 
 
     Raises RequestError.
     """
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write the same file
     try:
         write(part)
         part.replace(path)

@@ -21,8 +21,9 @@ def join_group(device: torch.device) -> tuple[int, int]:
 
 
 def leave_group() -> None:
-    """Leave the group that `join_group` joined."""
+    """Leave the group that `join_group` joined, together: gloo's threads of one end where those of another listen."""
     if distributed.is_initialized():
+        distributed.barrier()
         distributed.destroy_process_group()
 
 
