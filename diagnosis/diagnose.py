@@ -161,8 +161,8 @@ def _standing_in(regression: Regression, accepted: Accepted, judged: _Judged) ->
 def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:
     """Whether a load is among the effects whose swing explains as much as is left: what its phase may leave."""
     loads = [c for c in accepted.fit.candidates if c.effect.hidden and c.effect.rotor_speed is None]
-    changes = [change for load in loads for change in accepted.relevance[load.key].values()]
-    return any(change.share_of_left >= limits.min_swinging for change in changes)
+    relevance = [change for load in loads for change in accepted.relevance[load.key].values()]
+    return any(change.share_of_left >= limits.min_swinging for change in relevance)
 
 
 def _late_signals(refused: Sequence[Refused]) -> list[str]:

@@ -21,9 +21,8 @@ def join_group(device: torch.device) -> tuple[int, int]:
 
 
 def leave_group() -> None:
-    """Leave the group that `join_group` joined, together: gloo's threads of one end where those of another listen."""
+    """Leave the group that `join_group` joined."""
     if distributed.is_initialized():
-        distributed.barrier()
         distributed.destroy_process_group()
 
 

@@ -117,12 +117,12 @@ def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fi
     follows from it does, too. Chance is by the covariance of the change: the fit knows what the slower one knows
     (Hausman, 1978). vehicle: that the effects were added to.
     """
-    known = _beyond.setdefault(regression, [])
-    for of, before, result in known:  # each effect that is judged asks for the same fits again
+    made = _beyond.setdefault(regression, [])
+    for of, before, result in made:  # each effect that is judged asks for the same fits again
         if of is fitted and before == vehicle:
             return result
     result = _slower_where_moved(regression, fitted, vehicle)
-    known.append((fitted, vehicle, result))
+    made.append((fitted, vehicle, result))
     return result
 
 

@@ -125,8 +125,8 @@ def test_an_estimators_error_is_no_exchange_of_axes() -> None:
     assert plausibility.check(climbing(0.5)) == ()
 
 
-@pytest.mark.parametrize(("scale", "found"), [(1.0, []), (0.3048, ["position_unit"])])
-def test_what_an_estimator_errs_in_slow_motion_is_no_unit(scale: float, found: list[str]) -> None:
+@pytest.mark.parametrize(("scale", "expected"), [(1.0, []), (0.3048, ["position_unit"])])
+def test_what_an_estimator_errs_in_slow_motion_is_no_unit(scale: float, expected: list[str]) -> None:
     """The velocity errs by more than the vehicle moves: it is 1.7 times the position's change, and agrees with half of
     it. A position in another unit changes by less than that explains."""
     time = np.arange(0.0, 20.0, 0.02)
@@ -134,7 +134,7 @@ def test_what_an_estimator_errs_in_slow_motion_is_no_unit(scale: float, found: l
     error = 0.33 * np.column_stack([np.sin(0.5 * time), np.cos(0.4 * time), np.sin(0.6 * time)])
     position = np.cumsum(moves, axis=0) * 0.02
     streams = [Stream("position", time, scale * position, ""), Stream("velocity", time, moves + error, "")]
-    assert [finding.name for finding in plausibility.check(streams)] == found
+    assert [finding.name for finding in plausibility.check(streams)] == expected
 
 
 def tumbling(fall: float) -> list[Stream]:
