@@ -47,26 +47,19 @@ def gust_refusal(
     }
     where, required = max(shares, key=lambda place: shares[place], default=""), thresholds.max_gust_predictable
     if not where or shares[where] <= required:
-        shares["line"], where, required = (
-            _share_of_line(regression, selection.gust, tests),
-            "line",
-            thresholds.max_line_in_gust,
-        )
+        where, required = "line", thresholds.max_line_in_gust
+        shares[where] = _share_of_line(regression, selection.gust, tests)
     if shares[where] <= required:
         return None
     strength = {selection.gust.effect.parameters[0].name: selection.gust.intensity}
-    return Refused(
-        selection.gust.effect.name, None, "predictable", {"share": shares[where], "required": required}, where, strength
-    )
+    detail = {"share": shares[where], "required": required}
+    return Refused(selection.gust.effect.name, None, "predictable", detail, where, strength)
 
 
 def _share_of_line(regression: Regression, gust: Gust, tests: ResidualTests) -> float:
     """Power of a line in the spectrum of a force over that of a gust there, where the line is one beyond doubt."""
-    limits, line, signal = (
-        regression.thresholds.verdict,
-        tests.findings.get("spectral_line"),
-        turbulence_of(gust, regression),
-    )
+    limits, line = regression.thresholds.verdict, tests.findings.get("spectral_line")
+    signal = turbulence_of(gust, regression)
     if line is None or signal is None or signal[line.channel] <= 0:
         return 0.0
     is_line = tests.spectral_line > max(limits.max_line, tests.line_by_chance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
@@ -10,7 +9,8 @@ from pathlib import Path
 
 import msgspec
 
-from dynamics.errors import AlulaError, RequestError
+from dynamics.errors import AlulaError
+from dynamics.files import write_whole
 from flights.parallel import parallel_map
 from studies.sweep.cell import FailedCell, Outcome
 from studies.sweep.cell_training import CPU, this_worker, train_cell
@@ -63,10 +63,5 @@ def _failed(work: CellWork, error: Exception) -> FailedCell:
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may finish the same cell
-    try:
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(value)) + b"\n")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise RequestError(f"cannot write {path}: {error.strerror or error}. Free some space.") from error
+    text = msgspec.json.format(msgspec.json.encode(value)) + b"\n"
+    write_whole(path, lambda part: part.write_bytes(text), advice="Free some space.")

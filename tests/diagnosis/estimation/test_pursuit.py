@@ -75,6 +75,7 @@ def test_it_ends_where_nothing_leaves_less(fits, monkeypatch):
     monkeypatch.setitem(LEFT, frozenset({"drag", "damping", "lift"}), 2.99)
     pursued = pursuit.pursue(Regression(), 0.0)
     assert {c.key for c in pursued.candidates} == {"drag", "damping"}
+    assert all(fits.count(keys) == 1 for keys in fits if len(keys) == 3)  # the exchange changed nothing
 
 
 def test_an_exchange_that_leaves_less_is_gone_on_from(fits, monkeypatch):
