@@ -1,4 +1,4 @@
-"""Readers of public flights whose files no reader of `flights` knows as they are."""
+"""A reader of public flights whose files no column mapping can describe."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from dynamics.errors import DataError
 from flights import Flight
 from flights.log import Log, Provenance, Stream
 
-FOLDER = Path(__file__).parent / "public_mappings"
-IDSIA_MAPPING, NEUROBEM_MAPPING = FOLDER / "idsia.toml", FOLDER / "neurobem.toml"
 QUAD_X = (2, 1, 3, 0)  # PX4's motors at our rotors
 NEURAL_FLY_COLUMNS = ("t", "p", "v", "R", "w", "pwm")
 

@@ -3,8 +3,9 @@
     make study-public DIR=~/datasets [SETS="nanobench idsia"]
     python -m benchmarks.public_sets ~/datasets [--sets nanobench idsia neurobem neural_fly] [--flights 10]
 
-DIR holds one folder for each set, under any of the names listed in `SETS`. Nothing is downloaded. The last fifth of the
-flights is held out; forces and moments are compared below 8 Hz. Writes results/public_sets.md.
+DIR holds one folder for each set, under any of the names listed in `SETS`. Nothing is downloaded. Of a set with more
+flights than are asked for, some are taken evenly from all. Held out are the flights that its authors test on where
+they say which, else the last fifth; forces and moments are compared below 8 Hz. Writes results/public_sets.md.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import msgspec
@@ -20,7 +22,7 @@ import numpy as np
 
 import alula
 from benchmarks.provenance import write_result
-from benchmarks.public_flights import IDSIA_MAPPING, NEUROBEM_MAPPING, neural_fly_flight
+from benchmarks.public_flights import neural_fly_flight
 from diagnosis.models.open_loop import open_loop_errors
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError, RequestError
@@ -34,18 +36,20 @@ from vehicles import FOLDER
 class PublicSet:
     """A public data set.
 
-    folders: names that its download usually has; pattern: of the flights in it.
+    folders: names that its download usually has; patterns: of the flights in it.
     read: a flight from its file.
+    tested_on: pattern of the file names that its authors test on; empty where they name none.
     published: figures of its authors to compare with, and where they stand; empty where none could be checked.
     unverified: what of the layout could not be verified without the data.
     """
 
     title: str
     folders: tuple[str, ...]
-    pattern: str
+    patterns: tuple[str, ...]
     vehicle: Callable[[], Vehicle]
-    read: Callable[[Path], Flight]
     source: str
+    read: Callable[[Path], Flight] = Flight.read
+    tested_on: str = ""
     published: str = ""
     unverified: str = ""
 
@@ -74,9 +78,9 @@ def crazyflie_brushless() -> Vehicle:
 
 
 def kingfisher() -> Vehicle:
-    """The quadrotor of NeuroBEM, with the numbers of the Agilicious stack's configuration of it."""
+    """The quadrotor of NeuroBEM: mass as its page corrects it, the rest as the Agilicious stack configures it."""
     places = _quadrants(0.075, 0.10)
-    return _vehicle("kingfisher", 0.752, (0.0025, 0.0021, 0.0043), places, 1.5625e-6, 3.44e-8, 2800.0, 0.0648)
+    return _vehicle("kingfisher", 0.772, (0.0025, 0.0021, 0.0043), places, 1.5625e-6, 3.44e-8, 2800.0, 0.0648)
 
 
 def neural_fly() -> Vehicle:
@@ -89,40 +93,45 @@ SETS = {
     "nanobench": PublicSet(
         "NanoBench",
         ("nanobench-iros2026", "nanobench"),
-        "**/B*_rep*.csv*",
+        ("**/B*_rep*.csv*",),
         nanobench,
-        Flight.read,
         "Ullah and Baca, arXiv 2603.09908; https://github.com/syediu/nanobench-iros2026",
     ),
     "idsia": PublicSet(
         "IDSIA NanoDrone",
         ("nanodrone-sysid-benchmark", "idsia", "nanodrone"),
-        "**/data/real/processed/**/*_run*.csv",
+        tuple(f"**/{part}/*_run*.{ending}" for part in ("train", "test") for ending in ("csv", "parquet")),
         crazyflie_brushless,
-        lambda path: Flight.read(path, mapping=IDSIA_MAPPING),
         "Busetto et al., arXiv 2512.14450; https://github.com/idsia-robotics/nanodrone-sysid-benchmark",
-        unverified="the column of time and the motors' turning directions; the repository's loader names the others",
+        tested_on="melon_*",
     ),
     "neurobem": PublicSet(
         "NeuroBEM",
         ("neurobem", "neuro_bem", "NeuroBEM"),
-        "**/processed_data/*.csv",
+        ("**/processed_data/*.csv", "merged_*.csv"),
         kingfisher,
-        lambda path: Flight.read(path, mapping=NEUROBEM_MAPPING),
         "Bauersfeld et al., RSS 2021; https://rpg.ifi.uzh.ch/neuro_bem/Readme.html",
         published="force, authors' network: 0.565 N (flights and filter of theirs)",
-        unverified="headers of motor speeds and voltage, the motors' order (a wrong one is refused), the vehicle",
+        unverified="the directions in which the rotors turn (wrong ones are refused), thrust and torque constants",
     ),
     "neural_fly": PublicSet(
         "Neural-Fly",
         ("neural-fly", "neural_fly", "neuralfly"),
-        "**/data/experiment/custom_*.csv",
+        ("**/data/experiment/custom_*.csv",),
         neural_fly,
-        neural_fly_flight,
         "O'Connell et al., Science Robotics 2022; https://github.com/aerorobotics/neural-fly",
+        read=neural_fly_flight,
         unverified="the vehicle's arms, inertia and rotors; the frame, which is taken from the sign of height",
     ),
 }
+
+
+def flights_below(public: PublicSet, folder: Path) -> list[Path]:
+    """The files of a set's flights, in the order of its patterns and of their names; of a flight in two formats one."""
+    paths: dict[str, Path] = {}
+    for path in (path for pattern in public.patterns for path in sorted(folder.glob(pattern))):
+        paths.setdefault(path.name.partition(".")[0], path)
+    return list(paths.values())
 
 
 def folder_of(public: PublicSet, parent: Path) -> Path:
@@ -130,15 +139,28 @@ def folder_of(public: PublicSet, parent: Path) -> Path:
     if not parent.is_dir():
         raise RequestError(f"{parent} is no folder. Give the folder that holds the downloads as DIR.")
     for name in public.folders:
-        if (parent / name).is_dir() and any((parent / name).glob(public.pattern)):
+        if flights_below(public, parent / name):
             return parent / name
-    if parent.name in public.folders and any(parent.glob(public.pattern)):
+    if parent.name in public.folders and flights_below(public, parent):
         return parent
-    tried = ", ".join(f"{name}/{public.pattern}" for name in public.folders)
+    tried = ", ".join(f"{name}/{pattern}" for name in public.folders for pattern in public.patterns)
     raise RequestError(
         f"{parent} lacks {public.title}: none of {tried} is there. Download it from {public.source} and give the "
         "folder above it as DIR."
     )
+
+
+def chosen(paths: Sequence[Path], limit: int) -> list[Path]:
+    """So many of the files at most, evenly from all."""
+    if len(paths) <= limit:
+        return list(paths)
+    return [paths[round(place)] for place in np.linspace(0, len(paths) - 1, limit)]
+
+
+def _held_out(public: PublicSet, flights: Sequence[Flight]) -> str | None:
+    """The pattern of the flights to hold out, if some but not all of them are what the authors test on."""
+    tested = [fnmatchcase(Path(flight.provenance.path).name, public.tested_on) for flight in flights]
+    return public.tested_on if any(tested) and not all(tested) else None
 
 
 def _shortened(error: AlulaError, path: Path) -> str:
@@ -151,7 +173,7 @@ def section(public: PublicSet, folder: Path, limit: int) -> str:
 
     Raises RequestError where no flight of it can be read.
     """
-    paths = sorted(folder.glob(public.pattern))[:limit]
+    paths = chosen(flights_below(public, folder), limit)
     flights, left_out = [], []
     for path in paths:
         try:
@@ -170,7 +192,7 @@ def section(public: PublicSet, folder: Path, limit: int) -> str:
     )
     head += [f"Left out: {'; '.join(left_out)}."] if left_out else []
     try:
-        result = alula.diagnose(flights, vehicle)
+        result = alula.diagnose(flights, vehicle, hold_out=_held_out(public, flights))
     except AlulaError as error:
         return "\n".join([*head, "", f"Refused: {error}"])
     report = result.report

@@ -41,18 +41,18 @@ class Format:
     reads_spans: bool = True
 
 
-# In the order of detection: formats with a signature first, text last, where all columns of a shipped mapping say more
-# than a few names that the flight CSV has too.
+# In the order of detection: formats with a signature first, text last; of a table all columns of a shipped mapping say
+# more than a few names that the flight CSV has too.
 FORMATS: Mapping[str, Format] = {
     "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
     "rosbag": Format("ROS bag", rosbag.matches, rosbag.read, False),
+    "mapped_csv": Format("CSV or Parquet with a column mapping", mapped_csv.matches, mapped_csv.read, False),
     "parquet": Format("Parquet flight table", parquet.matches, parquet.read, False),
     "crazyflie": Format("Crazyflie micro-SD log", crazyflie.matches, crazyflie.read, True),
     "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True, reads_spans=False),
     "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
     "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
-    "mapped_csv": Format("CSV with a column mapping", mapped_csv.matches, mapped_csv.read, False),
     "csv": Format("flight CSV", csv.matches, csv.read, False),
 }
 

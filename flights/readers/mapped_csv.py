@@ -1,4 +1,4 @@
-"""Text tables of other tools, by a column mapping: a TOML file that names columns, units, frames and the time.
+"""Tables of other tools, text or Parquet, by a column mapping: a TOML file that names columns, units, frames and time.
 
 The mappings in flights/mappings/ are applied without being named when all of their columns are in the table.
 """
@@ -11,20 +11,22 @@ import numpy as np
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
-from dynamics.errors import RequestError
+from dynamics.errors import DataError, RequestError
 from flights import mapping as mappings
 from flights import pose_source
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
-from flights.readers import csv
+from flights.readers import csv, parquet
 from flights.source import Source
 
 _MAX_LINE = 60_000
 
 
 def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]:
-    """The names of a text table's columns, empty for any other file."""
+    """The names of a table's columns, empty for any other file. Raises DataError for a torn Parquet file."""
+    if parquet.matches(source):
+        return parquet.names_of(source)
     line = source.first_line()
     if mapping is not None:
         line = re.sub(mapping.file.prefix, "", line, count=1) if mapping.file.prefix else line
@@ -37,7 +39,10 @@ def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]
 
 def matches(source: Source) -> bool:
     """Whether the file has all columns of one of the shipped mappings."""
-    return not source.is_folder and _shipped_for(source) is not None
+    try:
+        return not source.is_folder and _shipped_for(source) is not None
+    except DataError:  # a torn table, of which its own format's reader says so
+        return False
 
 
 def read(source: Source) -> LogContent:
@@ -50,7 +55,7 @@ def read(source: Source) -> LogContent:
     if missing:
         raise RequestError(
             f"the mapping {mapping.name!r} needs the columns {', '.join(missing)}, which are not among "
-            f"{', '.join(names) or '(no columns: is it text?)'}. Correct the mapping."
+            f"{', '.join(names) or '(no columns: is it text or Parquet?)'}. Correct the mapping."
         )
     assembly = Assembly()
     assembly.metadata["mapping"] = mapping.name
@@ -76,6 +81,8 @@ def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly:
     needed = list(dict.fromkeys(mapping.columns))
     unit = mappings.TIME_UNITS[mapping.time.unit]
     cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
+    if parquet.matches(source):
+        return parquet.read_columns(source, needed, cut)
     prefix = re.compile(mapping.file.prefix.encode()) if mapping.file.prefix else None
     return csv.read_columns(source.file, csv.Layout(names, mapping.file.delimiter, cut, prefix), needed, assembly)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import pyarrow as pa
@@ -26,19 +27,16 @@ def matches(source: Source) -> bool:
 def read(source: Source) -> LogContent:
     """The streams of a Parquet file. Raises DataError for a torn one or one without the columns of a flight."""
     assembly = Assembly()
-    try:
-        with pa_parquet.ParquetFile(source.file) as file:
-            names = file.schema_arrow.names
-            used = [name for name in names if name == TIME or quantity_of(name) is not None]
-            if TIME not in used or len(used) < 2:
-                raise DataError(
-                    f"this Parquet file has the columns {', '.join(names[:12])}; wanted {TIME} and columns of the "
-                    "flight CSV, as position_x. Rename them."
-                )
-            columns = _columns(file, used, None if source.span is None else csv.Cut(source.span, TIME))
-            notes = decode_notes(file.schema_arrow.metadata)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise DataError(f"this Parquet file is torn or damaged: {error}. Wanted a whole one; write it again.") from None
+    names = names_of(source)
+    used = [name for name in names if name == TIME or quantity_of(name) is not None]
+    if TIME not in used or len(used) < 2:
+        raise DataError(
+            f"this Parquet file has the columns {', '.join(names[:12])}; wanted {TIME} and columns of the flight CSV, "
+            "as position_x. Rename them, or give a column mapping."
+        )
+    columns = read_columns(source, used, None if source.span is None else csv.Cut(source.span, TIME))
+    with _opened(source) as file:
+        notes = decode_notes(file.schema_arrow.metadata)
     if len(columns[TIME]):
         csv.add_table(assembly, columns, names)
     if notes is not None:
@@ -48,6 +46,27 @@ def read(source: Source) -> LogContent:
         for repair in notes.provenance.repairs:
             assembly.note(f"repaired when it was made: {repair}")
     return assembly.finish(keep_time=True)
+
+
+@contextmanager
+def _opened(source: Source) -> Iterator[pa_parquet.ParquetFile]:
+    try:
+        with pa_parquet.ParquetFile(source.file) as file:
+            yield file
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"this Parquet file is torn or damaged: {error}. Wanted a whole one; write it again.") from None
+
+
+def names_of(source: Source) -> tuple[str, ...]:
+    """The names of its columns. Raises DataError for a torn file."""
+    with _opened(source) as file:
+        return tuple(file.schema_arrow.names)
+
+
+def read_columns(source: Source, used: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
+    """Columns as numbers, all rows or those that a cut selects. Raises DataError for a torn file and for no numbers."""
+    with _opened(source) as file:
+        return _columns(file, used, cut)
 
 
 def _columns(file: pa_parquet.ParquetFile, used: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
