@@ -10,6 +10,7 @@ from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.sure_part import sure_part
 from diagnosis.models import channels
 from diagnosis.models.command_effects import seen_as
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
@@ -102,6 +103,7 @@ def missing_effects(
         near += _narrowly_worse(regression, candidate, accepted.refused)
         if regression.segments[0].rotor_source == "command":
             near += seen_as([candidate.effect.name, *near], regression.catalogue)
+        is_open = unknown or sure_part(search, accepted.fit, candidate, regression.vehicle) is not None
         effects.append(
             MissingEffect(
                 name=candidate.effect.name,
@@ -109,7 +111,7 @@ def missing_effects(
                 parameters=_parameters(accepted.fit, candidate),
                 confidence=accepted.agreement[candidate.key],
                 ambiguous_with=tuple(
-                    dict.fromkeys([*near, *(_alike(search, others, candidate, taken) if unknown else ())])
+                    dict.fromkeys([*near, *(_alike(search, others, candidate, taken) if is_open else ())])
                 ),
             )
         )

@@ -65,10 +65,47 @@ def judged_fit(
     refused: effects that have been refused before. resampled: whether most flight resamples must agree. small: keys of
     those that may be too small on what is held out if they matter on the fitted flights.
     """
+    return _judged(regression, candidates, dataset, vehicle, refused, resampled=resampled, small=small)
+
+
+def fit_that_keeps(
+    regression: Regression,
+    candidates: Sequence[Candidate],
+    needed: Collection[str],
+    dataset: Dataset,
+    vehicle: Vehicle,
+    *,
+    refused: Sequence[Refused] = (),
+) -> Accepted | None:
+    """The same where it keeps the needed ones, of these keys; None as soon as one of them fails.
+
+    Most trials of rivals end so, and after that no fit of what remains says more.
+    """
+    try:
+        return _judged(regression, candidates, dataset, vehicle, refused, needed=needed)
+    except _NeededEffectError:
+        return None
+
+
+def _judged(
+    regression: Regression,
+    candidates: Sequence[Candidate],
+    dataset: Dataset,
+    vehicle: Vehicle,
+    refused: Sequence[Refused],
+    *,
+    resampled: bool = True,
+    small: Collection[str] = (),
+    needed: Collection[str] = (),
+) -> Accepted:
     lacking = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
-    trial = _Trial(regression, dataset, lacking, resampled=resampled, small=small)
+    trial = _Trial(regression, dataset, lacking, resampled=resampled, small=small, needed=needed)
     own = _own_effects(regression, candidates, refused)
     return trial.reduced([*candidates, *own], {c.key for c in candidates}, refused)
+
+
+class _NeededEffectError(Exception):
+    """An effect fails without which the rest of a trial is of no use."""
 
 
 def _own_effects(regression: Regression, chosen: Sequence[Candidate], refused: Sequence[Refused]) -> list[Candidate]:
@@ -93,8 +130,9 @@ class _Trial:
         *,
         resampled: bool,
         small: Collection[str],
+        needed: Collection[str],
     ) -> None:
-        self._small = small
+        self._small, self._needed = small, set(needed)
         self._regression, self._fitted, self._vehicle = regression, dataset.fitted, vehicle
         self._limits, self._search = regression.thresholds.relevance, Search(regression)
         self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
@@ -102,7 +140,10 @@ class _Trial:
         self._shares: dict[tuple[frozenset[str], str], float] = {}
 
     def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
-        """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's."""
+        """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's.
+
+        Raises _NeededEffectError.
+        """
         best, refused = self._fit(candidates), list(refused)
         while True:
             relevance, floor = self._relevance(best)
@@ -118,6 +159,8 @@ class _Trial:
                 left = [weakest]
                 refused = [one for one in refused if (one.name, one.rotor) != weakest.identity]  # by another set
                 refused.append(failure)
+            if not self._needed.isdisjoint(c.key for c in left):
+                raise _NeededEffectError
             best = self._fit([c for c in best.candidates if c not in left])
         agreement = {c.key: self._agreement(best, c) for c in best.candidates}
         named = {c.identity for c in best.candidates}  # beside other effects one of them may have been refused before

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, judged_fit
+from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, fit_that_keeps, judged_fit
 from diagnosis.estimation.alternatives import decided_rivals, merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.exchanges import with_exchanges
 from diagnosis.estimation.held_out import HeldOut
+from diagnosis.estimation.sure_part import as_good_as, sure_part
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, rivals_of, to_fit
@@ -42,6 +43,7 @@ def accepted_fit(
     if not regression.pose.there:  # an estimator's errors are as slow
         in_gust = selection.gust_variance > 0
         accepted = with_exchanges(regression, accepted, dataset, lacking, in_gust=in_gust)
+    accepted = _with_rivals_of_what_is_sure(regression, accepted, dataset, lacking)
     return _with_damage_before_sensors(regression, accepted, dataset, lacking)
 
 
@@ -57,12 +59,29 @@ def _with_rivals_of_refused(
     spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
     for candidate in [c for c in chosen if c.identity in spoiling]:
         sets = [[c for c in chosen if c is not candidate], list(accepted.fit.candidates)]
-        for others, rival in _rivals_in(search, sets, candidate, spoiling, max_rivals):
-            trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
-            if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
+        tried = [
+            *_rivals_of_sure_part(regression, accepted, candidate, vehicle),
+            *_rivals_in(search, sets, candidate, spoiling, max_rivals),
+        ]
+        for others, rival in tried:
+            needed = {rival.key, *accepted.fit.keys}
+            trial = fit_that_keeps(regression, [*others, rival], needed, dataset, vehicle, refused=accepted.refused)
+            if trial is not None:
                 accepted = _with_judged_again(regression, trial, candidate, chosen, dataset, vehicle)
                 break
     return accepted
+
+
+def _rivals_of_sure_part(
+    regression: Regression, accepted: Accepted, candidate: Candidate, vehicle: Vehicle
+) -> Iterator[tuple[Sequence[Candidate], Candidate]]:
+    """What explains as much as the sure part of a candidate beside the accepted effects, if anything does."""
+    search, others = Search(regression), accepted.fit.candidates
+    lacking = fit(regression, (), vehicle=vehicle).vehicle
+    fitted = beyond_feedback(regression, fit(regression, [*others, candidate], vehicle=lacking), lacking)
+    part = sure_part(search, fitted, candidate, lacking)
+    if part is not None and (rival := as_good_as(search, others, part)) is not None:
+        yield others, rival
 
 
 def _rivals_in(
@@ -98,8 +117,9 @@ def _with_judged_again(
     if not again:
         return accepted
     earlier = [one for one in accepted.refused if (one.name, one.rotor) not in {c.identity for c in again}]
-    trial = judged_fit(regression, [*accepted.fit.candidates, *again], dataset, vehicle, refused=earlier)
-    return trial if set(accepted.fit.keys) < set(trial.fit.keys) else accepted
+    together = [*accepted.fit.candidates, *again]
+    trial = fit_that_keeps(regression, together, accepted.fit.keys, dataset, vehicle, refused=earlier)
+    return accepted if trial is None or len(trial.fit.keys) == len(accepted.fit.keys) else trial
 
 
 def _with_rivals_that_need_less(
@@ -114,10 +134,14 @@ def _with_rivals_that_need_less(
     held_out, tried = HeldOut(regression, dataset.held_out), set[frozenset[str]]()
     while len(accepted.fit.keys) > 1 and accepted.fit.chi_square <= regression.thresholds.search.still_explained:
         for keys, candidates in _fitted_rivals(regression, accepted, vehicle, tried):
-            trial = judged_fit(regression, candidates, dataset, vehicle, refused=accepted.refused)
-            if set(trial.fit.keys) == keys and (
-                len(keys) < len(accepted.fit.keys)
-                or not held_out.worse_channels(accepted.fit.vehicle, trial.fit.vehicle)
+            trial = fit_that_keeps(regression, candidates, keys, dataset, vehicle, refused=accepted.refused)
+            if (
+                trial is not None
+                and set(trial.fit.keys) == keys
+                and (
+                    len(keys) < len(accepted.fit.keys)
+                    or not held_out.worse_channels(accepted.fit.vehicle, trial.fit.vehicle)
+                )
             ):
                 accepted = trial
                 break
@@ -155,6 +179,26 @@ def _fitted_rivals(
                 yield sure, candidates
 
 
+def _with_rivals_of_what_is_sure(
+    regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with what explains as much in place of an effect of which only a part is sure.
+
+    An inertia about yaw is a torque constant, and what turbulence adds about roll and pitch is no reason against it.
+    """
+    search = Search(regression)
+    for candidate in accepted.fit.candidates:
+        others = [c for c in accepted.fit.candidates if c is not candidate]
+        part = sure_part(search, accepted.fit, candidate, vehicle)
+        rival = None if part is None else as_good_as(search, others, part)
+        if rival is not None:
+            needed = [rival.key, *(c.key for c in others)]
+            trial = fit_that_keeps(regression, [*others, rival], needed, dataset, vehicle, refused=accepted.refused)
+            if trial is not None:
+                return trial
+    return accepted
+
+
 def _with_damage_before_sensors(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
@@ -177,8 +221,9 @@ def _with_damage_before_sensors(
             None,
         )
         if damaged is not None:
-            trial = judged_fit(regression, [*others, damaged], dataset, vehicle, refused=accepted.refused)
+            needed = [damaged.key, *(c.key for c in others)]
+            trial = fit_that_keeps(regression, [*others, damaged], needed, dataset, vehicle, refused=accepted.refused)
             level = accepted.fit.chi_square * regression.thresholds.acceptance.max_redundant_ratio
-            if {damaged.key, *(c.key for c in others)} <= set(trial.fit.keys) and trial.fit.chi_square <= level:
+            if trial is not None and trial.fit.chi_square <= level:
                 accepted = trial
     return accepted

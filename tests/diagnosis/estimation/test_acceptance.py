@@ -8,7 +8,13 @@ import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation import acceptance
-from diagnosis.estimation.acceptance import Accepted, at_its_bounds, deviations_from_neutral, judged_fit
+from diagnosis.estimation.acceptance import (
+    Accepted,
+    at_its_bounds,
+    deviations_from_neutral,
+    fit_that_keeps,
+    judged_fit,
+)
 from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
@@ -263,3 +269,24 @@ def test_what_was_refused_beside_other_effects_and_is_named_is_not_both(arpl_250
     assert accepted.fit.keys == ("mass",)
     assert [one.name for one in accepted.refused] == ["rotor_drag"]
     assert with_small(regression, accepted, chosen, dataset) is None
+
+
+def test_a_trial_ends_where_what_it_needs_fails(arpl_250g, monkeypatch):
+    fitted = hovering(arpl_250g, mass_ratio=1.05, seed=4, count=4)
+    dataset = Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
+    regression = make_regression(arpl_250g, SOME, fitted, dataset.flight_of)
+    both = [c for c in regression.candidates if c.key in ("mass", "imu_bias")]
+    kept = fit_that_keeps(regression, both, ["mass"], dataset, arpl_250g)
+    assert kept is not None
+    assert kept.fit.keys == judged_fit(regression, both, dataset, arpl_250g).fit.keys == ("mass",)
+    judged, judge = [], HeldOut.channel_changes
+
+    def counted(held_out, before, after, floor):
+        judged.append(after)
+        return judge(held_out, before, after, floor)
+
+    monkeypatch.setattr(HeldOut, "channel_changes", counted)
+    judged_fit(regression, both, dataset, arpl_250g)
+    of_all = len(judged)
+    assert fit_that_keeps(regression, both, ["imu_bias"], dataset, arpl_250g) is None
+    assert len(judged) - of_all < of_all

@@ -104,3 +104,22 @@ def test_what_turbulence_makes_of_the_state_is_not_left_over():
     dataset = make_dataset(captured_flights(campaign, truths), vehicle_of(campaign))
     diagnosis = diagnose_dataset(dataset, vehicle_of(campaign), CATALOGUE).diagnosis
     assert (diagnosis.verdict, diagnosis.leftover) == ("explained", ())
+
+
+@pytest.mark.parametrize(
+    ("seed", "rate", "noise", "was"),
+    [(49986954, 200.0, 1.979, "named"), (478959773, 100.0, 1.98, "refused")],
+    ids=["1.27, 1.28, 1.11 by all resamples", "2.1, 2.1, 1.11, which makes the torques worse"],
+)
+def test_a_torque_constant_in_turbulence_is_no_inertia(seed, rate, noise, was):
+    """Of the inertia that was named, or refused with nothing in its place, yaw is sure alone."""
+    hidden = {"torque_constant": {"ratio": 0.9}}
+    campaign = Campaign(hidden, {}, Recorder(rate, noise=noise), lag_declared=False, fast=False, flights=9, seed=seed)
+    (truths,) = flown([campaign])
+    dataset = make_dataset(captured_flights(campaign, truths), vehicle_of(campaign))
+    diagnosis = diagnose_dataset(dataset, vehicle_of(campaign), CATALOGUE).diagnosis
+    (named,) = diagnosis.effects
+    assert diagnosis.verdict == "ambiguous"
+    assert (named.name, named.parameters["ratio"].value) == ("torque_constant", pytest.approx(0.9, rel=0.02))
+    assert "inertia" in named.ambiguous_with
+    assert ("inertia" in [one.name for one in diagnosis.refused]) is (was == "refused")
