@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from diagnosis.data.rotor_moments import compared_moments, rotor_gains
-from diagnosis.data.segment import battery_is_measured, segments
+from diagnosis.data.segment import Segment, battery_is_measured, segments
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
@@ -31,12 +31,13 @@ def inspected(
     """The flights as far as they can be believed, and what was found about them.
 
     A rotor whose measured speed is far from its peers' without a command that explains it has a wrong sensor, unless
-    its moments are those of its speed. Then no measured speed is used where all flights have commands.
+    its moments are those of its speed in the flights that read so. Then no measured speed is used where all flights
+    have commands.
 
     Raises DataError, which names the rotor, where they have none, and for units and frames that contradict the motion.
     """
     findings: dict[Finding, None] = {}
-    doubted: dict[str, UnevenRotor] = {}
+    uneven: dict[int, list[tuple[Flight, UnevenRotor]]] = {}
     for flight in flights:
         measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
         for contradiction in plausibility.check_flight(flight, parts):
@@ -46,15 +47,28 @@ def inspected(
             findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None
         if not measured:
             continue
-        wrong = next((u for u in uneven_rotors(parts) if not u.as_commanded), None)
-        if wrong is not None and (wrong.as_commanded is False or _contradicted(flight, wrong, vehicle, thresholds)):
-            doubted[name] = wrong
+        for rotor in uneven_rotors(parts):
+            if not rotor.as_commanded:
+                uneven.setdefault(rotor.rotor, []).append((flight, rotor))
+    doubted = [of_rotor[0] for of_rotor in uneven.values() if _is_wrong(of_rotor, vehicle, thresholds)]
     if not doubted:
         return list(flights), tuple(findings)
     if all(_commanded(flight) for flight in flights):
         return [_without_speeds(flight) for flight in flights], tuple(findings)
-    name, wrong = next(iter(doubted.items()))
-    raise DataError(f"{name}: {_doubt(wrong, vehicle)}")
+    flight, wrong = doubted[0]
+    raise DataError(f"{Path(flight.provenance.path).name}: {_doubt(wrong, vehicle)}")
+
+
+def _is_wrong(of_rotor: Sequence[tuple[Flight, UnevenRotor]], vehicle: Vehicle, thresholds: Thresholds) -> bool:
+    """Whether the speed of a rotor is wrong in the flights in which it is uneven.
+
+    Of one flight that turns about one axis, only the difference of two opposite rotors' moments is known.
+    """
+    if any(uneven.as_commanded is False for _, uneven in of_rotor):
+        return True
+    parts = [segment for flight, _ in of_rotor for segment in segments(flight, vehicle, thresholds)]
+    usual = sorted((uneven for _, uneven in of_rotor), key=lambda uneven: uneven.share)[len(of_rotor) // 2]
+    return _contradicted(parts, usual, vehicle, thresholds)
 
 
 def _doubt(wrong: UnevenRotor, vehicle: Vehicle) -> str:
@@ -106,12 +120,11 @@ def _commanded(flight: Flight) -> bool:
     return any(rate >= MIN_ROTOR_RATE for rate in rates)
 
 
-def _contradicted(flight: Flight, wrong: UnevenRotor, vehicle: Vehicle, thresholds: Thresholds) -> bool:
+def _contradicted(parts: Sequence[Segment], wrong: UnevenRotor, vehicle: Vehicle, thresholds: Thresholds) -> bool:
     """Whether the rotor's moments are nearer to those of its peers' speed than to those of the speed that it reads.
 
-    Not where its peers' moments are off by as much: then one flight's turbulence says nothing of single rotors.
+    Not where its peers' moments are off by as much: then turbulence says nothing of single rotors.
     """
-    parts = segments(flight, vehicle, thresholds)
     if not parts:  # it reads zero, so that nowhere in flight all rotors have a speed
         return True
     moments = compared_moments(parts, vehicle, thresholds.rotor_moments)

@@ -13,8 +13,13 @@ from flights.filters import runs
 from flights.flight import Flight
 from flights.quality.findings import Finding
 
-FAR_OFF = 0.8  # of the peers' speed; with a rotor slower than that no quadrotor flies
+FAR_OFF = 0.8  # of the peers' speed, or its inverse: uneven
+IMPOSSIBLE = 0.6  # the same: with less than that, 0.36 of its peers' thrust, no quadrotor hovers
 NEAR = 0.85  # of the peers' command, above which the rotor's command is usual
+UNEVEN_ADVICE = (
+    "log the motor commands, too: a load off the centre or a propeller that is bent or canted needs it, else the "
+    "measurement is wrong"
+)
 DEAD_TIME = 0.5  # s without turning in flight
 
 
@@ -55,6 +60,10 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
         if uneven.as_commanded:
             text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as commanded"
             findings.append(Finding("warning", "uneven_rotor", text, "look for a bent propeller or a load off centre"))
+            continue
+        if uneven.as_commanded is None and IMPOSSIBLE <= share <= 1 / IMPOSSIBLE:
+            text = f"rotor {rotor} reads {share:.2f} times the speed of its peers, and no command tells why"
+            findings.append(Finding("warning", "uneven_rotor", text, UNEVEN_ADVICE))
             continue
         agree = "and no command explains it" if uneven.as_commanded is None else "while its command is as theirs"
         findings.append(_fault(rotor, f"reads {share:.2f} times the speed of its peers, {agree}"))

@@ -9,6 +9,8 @@ from diagnosis.data.dataset import make_dataset
 from diagnosis.data.rotor_moments import compared_moments, rotor_gains
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
+from fixtures.outside_cases import Campaign, captured_flights, flown, vehicle_of
+from fixtures.outside_sensors import Recorder
 from fixtures.planted import planted_flights
 from flights.exclusion import free_flight
 from flights.quality.rotor_balance import uneven_rotors
@@ -39,6 +41,18 @@ def test_rotors_that_turn_unevenly_for_a_load_off_the_centre_are_used(arpl_250g)
     uneven = {rotor.rotor for flight in bare for rotor in uneven_rotors(free_flight(flight))}
     assert uneven
     assert make_dataset(bare, arpl_250g).fitted[0].rotor_source == "measured"
+
+
+def test_rotors_that_hold_a_canted_one_are_used():
+    """One flight about one axis does not tell the moments of opposite rotors apart, and was refused for a sensor."""
+    canted = {"rotor_cant": {"tangential": -0.0657, "radial": 0.0155, "rotor": 0.0}}
+    recorder = Recorder(100.0, noise=0.5864196107357226)
+    campaign = Campaign(canted, {}, recorder, lag_declared=False, fast=False, flights=4, seed=913936977)
+    (truths,) = flown([campaign])
+    flights = captured_flights(campaign, truths)
+    shares = [round(rotor.share, 1) for flight in flights for rotor in uneven_rotors(free_flight(flight))]
+    assert shares == [1.3, 0.8, 1.3, 0.8] * 4
+    assert make_dataset(flights, vehicle_of(campaign)).fitted[0].rotor_source == "measured"
 
 
 def test_the_moments_show_each_rotors_gain(changed, arpl_250g):

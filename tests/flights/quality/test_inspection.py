@@ -96,6 +96,17 @@ def test_a_rotor_that_is_commanded_to_turn_slower_is_no_sensor_fault(log: Log) -
     assert "rotor_speed_fault" not in findings
 
 
+@pytest.mark.parametrize(("share", "name"), [(0.75, "uneven_rotor"), (1.4, "uneven_rotor"), (0.4, "rotor_speed_fault")])
+def test_without_commands_a_rotor_may_be_uneven_for_a_reason(log: Log, share: float, name: str) -> None:
+    """Opposite rotors at 1.3 and 0.8 of their peers hold a rotor that is canted."""
+    speed = values(log, "rotor_speed")
+    speed[:, 1] *= share
+    bare = without(changed(log, "rotor_speed", speed), "rotor_command", "thrust_setpoint")
+    (finding,) = [f for f in judge(bare).findings if f.name in ("uneven_rotor", "rotor_speed_fault")]
+    assert finding.name == name
+    assert finding.severity == ("warning" if name == "uneven_rotor" else "error")
+
+
 def test_a_channel_that_freezes_in_flight_is_named(log: Log) -> None:
     position = values(log, "position")
     position[300:1500, 1] = position[300, 1]
