@@ -666,6 +666,9 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
         that falls most. [benchmarks/verdicts.py: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
         floor has 0.05 beside one of 5 times]
     min_share_of_axis: the same of the axis that falls most; an effect may be below one of the two. [the same: 0.2]
+    min_share_at_all: as the first, below which no axis counts: what is missing by a hundred times as much reaches any
+        axis. [benchmarks/verdicts.py, swirl-955 and 956: 0.004 and 0.006 of a constant that is right, with 0.34 and
+        0.49 of an axis]
     """
 
     max_drift: Share = 0.2
@@ -674,6 +677,7 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
     min_over_noise: Score = 0.2
     min_share_of_left: Score = 0.05
     min_share_of_axis: Score = 0.25
+    min_share_at_all: Score = 0.01
 
 
 class LateSignalsThresholds(ThresholdGroup, frozen=True):

@@ -35,12 +35,13 @@ def drifting_effects(
 def overshadowed_effects(accepted: Accepted, limits: ConsistencyThresholds) -> tuple[Refused, ...]:
     """Effects that explain next to nothing of what is still missing: some form explains a little of anything.
 
-    In the kind of channel whose error falls most, over all its axes and on the axis that falls most.
+    In the kind of channel whose error falls most, over all its axes, or on the axis that falls most.
     """
     refused = []
     for candidate in accepted.fit.candidates:
         kind, change = max(accepted.relevance[candidate.key].items(), key=lambda item: item[1].fall)
-        if change.share_of_left < limits.min_share_of_left and change.share_of_axis < limits.min_share_of_axis:
+        on_axis = change.share_of_axis >= limits.min_share_of_axis and change.share_of_left >= limits.min_share_at_all
+        if change.share_of_left < limits.min_share_of_left and not on_axis:
             refused.append(refused_of(accepted.fit, candidate, "overshadowed", kind, share=change.share_of_left))
     return tuple(refused)
 

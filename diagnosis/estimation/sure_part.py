@@ -30,8 +30,8 @@ def sure_part(search: Search, fitted: Fit, candidate: Candidate, vehicle: Vehicl
     }
     if not sure or sure >= set(candidate.free):
         return None
-    kept = [(name, column) for name, column in zip(candidate.free, candidate.columns, strict=True) if name in sure]
-    part = replace(candidate, free=tuple(name for name, _ in kept), columns=tuple(column for _, column in kept))
+    places = [(name, column) for name, column in zip(candidate.free, candidate.columns, strict=True) if name in sure]
+    part = replace(candidate, free=tuple(name for name, _ in places), columns=tuple(column for _, column in places))
     others = [c for c in fitted.candidates if c is not candidate]
     unsure_gain = search.score([*others, candidate]).gain - search.score([*others, part]).gain
     return part if unsure_gain > limits.rivals.score_margin else None

@@ -211,6 +211,7 @@ def test_what_makes_a_channel_worse_gives_way_to_a_rival_that_does_not(plain_fli
         ((2.0, 0.0, 0.0), (10.0, 10.0, 40.0), False),  # a fifth of what is left of an axis, a thirtieth of the kind
         ((2.0, 0.0, 0.0), (0.1, 10.0, 40.0), True),  # nothing is left of its own axis
         ((2.0, 2.0, 2.0), (10.0, 10.0, 10.0), True),
+        ((2.9, 0.0, 0.0), (6.0, 300.0, 300.0), False),  # half of what is left of its axis, beside 200 times as much
     ],
 )
 def test_a_form_that_explains_next_to_nothing_of_what_is_left_is_not_named(arpl_250g, falls, left, named):
@@ -276,9 +277,9 @@ def test_a_trial_ends_where_what_it_needs_fails(arpl_250g, monkeypatch):
     dataset = Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
     regression = make_regression(arpl_250g, SOME, fitted, dataset.flight_of)
     both = [c for c in regression.candidates if c.key in ("mass", "imu_bias")]
-    kept = fit_that_keeps(regression, both, ["mass"], dataset, arpl_250g)
-    assert kept is not None
-    assert kept.fit.keys == judged_fit(regression, both, dataset, arpl_250g).fit.keys == ("mass",)
+    trial = fit_that_keeps(regression, both, ["mass"], dataset, arpl_250g)
+    assert trial is not None
+    assert trial.fit.keys == judged_fit(regression, both, dataset, arpl_250g).fit.keys == ("mass",)
     judged, judge = [], HeldOut.channel_changes
 
     def counted(held_out, before, after, floor):
