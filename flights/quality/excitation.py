@@ -114,11 +114,12 @@ def _map(
 def _segment_signals(segment: Flight) -> dict[str, Floats]:
     """Signals of one segment, (n,) each."""
     signals: dict[str, Floats] = {}
-    if segment.has("velocity"):
-        signals["speed"] = np.linalg.norm(segment["velocity"], axis=1)
-        signals["acceleration"] = np.linalg.norm(_smooth_slope(segment, segment["velocity"]), axis=1)
-    if segment.has("velocity", "attitude"):
-        body = quaternion.rotate_inverse(segment["attitude"], segment["velocity"])
+    velocity = _velocity(segment)
+    if velocity is not None:
+        signals["speed"] = np.linalg.norm(velocity, axis=1)
+        signals["acceleration"] = np.linalg.norm(_smooth_slope(segment, velocity), axis=1)
+    if velocity is not None and segment.has("attitude"):
+        body = quaternion.rotate_inverse(segment["attitude"], velocity)
         signals |= {"forward_speed": body[:, 0], "sideways_speed": body[:, 1], "climb_speed": body[:, 2]}
         signals["lateral_speed"] = np.hypot(body[:, 0], body[:, 1])
     if segment.has("attitude"):
@@ -140,6 +141,13 @@ def _segment_signals(segment: Flight) -> dict[str, Floats]:
     if thrust is not None:
         signals["effort"] = thrust
     return signals
+
+
+def _velocity(segment: Flight) -> Floats | None:
+    """(n, 3) m/s, world: as logged, else from the position, as the diagnosis takes it; None with neither."""
+    if segment.has("velocity"):
+        return segment["velocity"]
+    return _smooth_slope(segment, segment["position"]) if segment.has("position") else None
 
 
 def _smooth_slope(segment: Flight, values: Floats) -> Floats:

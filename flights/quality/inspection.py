@@ -134,10 +134,11 @@ def _ground_height(flight: Flight, exclusions: Sequence[Exclusion]) -> float:
 
 
 def _usable(log: Log) -> set[str]:
-    """Quantities that are logged fast enough."""
+    """Quantities that are logged fast enough, and the velocity where the position gives it."""
     slow = dict.fromkeys(WRENCH, MIN_ROTOR_RATE) | {"rate": MIN_MOTION_RATE}
-    streams = {name: log.stream(name) for name in log.names}
-    return {name for name, stream in streams.items() if stream is not None and stream.rate >= slow.get(name, 0.0)}
+    rates = {name: stream.rate for name in log.names if (stream := log.stream(name)) is not None}
+    usable = {name for name, rate in rates.items() if rate >= slow.get(name, 0.0)}
+    return usable | {"velocity"} if rates.get("position", 0.0) >= MIN_ROTOR_RATE else usable
 
 
 def _trusted(usable: set[str], findings: Sequence[Finding]) -> set[str]:

@@ -69,6 +69,17 @@ def test_a_battery_that_stands_still_is_named_and_identifies_no_sag(log: Log) ->
     assert next(effect for effect in inspection.effects if effect.name == "battery_sag").answer == "no"
 
 
+def test_a_position_that_is_fast_enough_shows_what_a_velocity_does(log: Log) -> None:
+    """The diagnosis takes its derivative, and inspection said that nothing could be identified."""
+    with_velocity = judge(without(log, "specific_force"))
+    bare = judge(without(log, "specific_force", "velocity"))
+    answers = {effect.name: effect.answer for effect in with_velocity.effects}
+    assert answers["linear_drag"] != "no"
+    assert {effect.name: effect.answer for effect in bare.effects} == answers
+    neither = judge(without(log, "specific_force", "velocity", "position"))
+    assert next(effect for effect in neither.effects if effect.name == "linear_drag").answer == "no"
+
+
 @pytest.mark.parametrize("rotor", range(4))
 def test_a_rotor_that_reads_half_while_commands_agree_is_a_sensor_fault(log: Log, rotor: int) -> None:
     speed = values(log, "rotor_speed")
