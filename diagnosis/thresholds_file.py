@@ -21,6 +21,6 @@ def read_thresholds(path: str | Path) -> Thresholds:
         return msgspec.convert(table, Thresholds)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise RequestError(
-            f"cannot use the thresholds of {path}: {error}. `diagnosis/thresholds.py` lists all of them with their "
+            f"cannot use the thresholds of {path}: {error}. `diagnosis/thresholds/` lists all of them with their "
             "units and bounds."
         ) from error

@@ -1,0 +1,115 @@
+"""Every threshold of diagnosis: unit, meaning, default, and where the default comes from.
+
+A field's line ends with its origin in brackets: "planted truth" (`benchmarks/diagnosis_planted_truth.py`, whose even
+seeds are for calibration), another benchmark, "decisions" (`docs/decisions/diagnosis.md`), a definition, or "margins"
+(`benchmarks/threshold_margins.py`): its half and its double were tried on flights with a known answer, and what follows
+says with which of both an answer changes, or that no case reads it. Functions take a `Thresholds` as an argument;
+`diagnosis.thresholds_file` reads one from TOML, for a fleet that needs others.
+"""
+
+from __future__ import annotations
+
+from diagnosis.thresholds.estimation import (
+    AcceptanceThresholds,
+    ConsistencyThresholds,
+    EquationErrorThresholds,
+    LateSignalsThresholds,
+    OutputErrorThresholds,
+    RelevanceThresholds,
+    SlowMotionThresholds,
+)
+from diagnosis.thresholds.group import ThresholdGroup
+from diagnosis.thresholds.judgement import (
+    CompletionThresholds,
+    HoverTrimThresholds,
+    InFlightThresholds,
+    RegimeThresholds,
+    VehicleThresholds,
+    VerdictThresholds,
+)
+from diagnosis.thresholds.readings import (
+    CommandCurveThresholds,
+    DataChecks,
+    DatasetThresholds,
+    FilterThresholds,
+    NoiseThresholds,
+    PoseThresholds,
+    PredictionThresholds,
+    RotorMomentChecks,
+    SegmentThresholds,
+)
+from diagnosis.thresholds.searching import (
+    GustThresholds,
+    RegressionThresholds,
+    ResidualTestThresholds,
+    RivalThresholds,
+    SearchThresholds,
+)
+
+
+class Thresholds(ThresholdGroup, frozen=True):
+    """All thresholds of diagnosis, by subject."""
+
+    filters: FilterThresholds = FilterThresholds()
+    segment: SegmentThresholds = SegmentThresholds()
+    dataset: DatasetThresholds = DatasetThresholds()
+    command_curve: CommandCurveThresholds = CommandCurveThresholds()
+    data_checks: DataChecks = DataChecks()
+    rotor_moments: RotorMomentChecks = RotorMomentChecks()
+    prediction: PredictionThresholds = PredictionThresholds()
+    noise: NoiseThresholds = NoiseThresholds()
+    pose: PoseThresholds = PoseThresholds()
+    regression: RegressionThresholds = RegressionThresholds()
+    search: SearchThresholds = SearchThresholds()
+    rivals: RivalThresholds = RivalThresholds()
+    gust: GustThresholds = GustThresholds()
+    residual_tests: ResidualTestThresholds = ResidualTestThresholds()
+    equation_error: EquationErrorThresholds = EquationErrorThresholds()
+    slow_motion: SlowMotionThresholds = SlowMotionThresholds()
+    output_error: OutputErrorThresholds = OutputErrorThresholds()
+    acceptance: AcceptanceThresholds = AcceptanceThresholds()
+    relevance: RelevanceThresholds = RelevanceThresholds()
+    consistency: ConsistencyThresholds = ConsistencyThresholds()
+    late_signals: LateSignalsThresholds = LateSignalsThresholds()
+    verdict: VerdictThresholds = VerdictThresholds()
+    completion: CompletionThresholds = CompletionThresholds()
+    regimes: RegimeThresholds = RegimeThresholds()
+    in_flight: InFlightThresholds = InFlightThresholds()
+    hover_trim: HoverTrimThresholds = HoverTrimThresholds()
+    vehicle: VehicleThresholds = VehicleThresholds()
+
+
+DEFAULT = Thresholds()
+
+__all__ = [
+    "DEFAULT",
+    "AcceptanceThresholds",
+    "CommandCurveThresholds",
+    "CompletionThresholds",
+    "ConsistencyThresholds",
+    "DataChecks",
+    "DatasetThresholds",
+    "EquationErrorThresholds",
+    "FilterThresholds",
+    "GustThresholds",
+    "HoverTrimThresholds",
+    "InFlightThresholds",
+    "LateSignalsThresholds",
+    "NoiseThresholds",
+    "OutputErrorThresholds",
+    "PoseThresholds",
+    "PredictionThresholds",
+    "RegimeThresholds",
+    "RegressionThresholds",
+    "RelevanceThresholds",
+    "ResidualTestThresholds",
+    "RivalThresholds",
+    "RotorMomentChecks",
+    "SearchThresholds",
+    "SegmentThresholds",
+    "SlowMotionThresholds",
+    "ThresholdGroup",
+    "Thresholds",
+    "VehicleThresholds",
+    "VerdictThresholds",
+]

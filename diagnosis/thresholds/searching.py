@@ -1,0 +1,173 @@
+"""Thresholds of the search of effects: the regression, its rivals, a gust, and what residuals still hold."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from diagnosis.thresholds.group import Count, Factor, Positive, Range, Score, Share, ThresholdGroup
+
+
+class RegressionThresholds(ThresholdGroup, frozen=True):
+    """Normal equations of all candidates.
+
+    ridge: on all columns at once, over the number of rows. [margins: neither]
+    max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [convention: 99 %]
+    independent_share: of the whitened residuals, in the criterion's penalty. [margins: neither]
+    """
+
+    ridge: Positive = 1e-6
+    max_bias: Positive = 2.5
+    independent_share: Annotated[float, Meta(gt=0, le=1)] = 0.25
+
+
+class SearchThresholds(ThresholdGroup, frozen=True):
+    """Forward search over candidates. A score is twice the log-likelihood gained, less the criterion's penalty.
+
+    min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
+    where nothing is hidden]
+    min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
+    relevant: gain over the number of whitened residuals below which an effect does not matter: a tenth of
+    2 % of the floor of one kind of four. [margins: neither]
+    min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
+    vehicle without either. [margins: neither]
+    parsimony: share of the gain at which fewer coefficients are preferred. [margins: neither]
+    min_cross_validated: share of an improvement that must show on flights left out. [margins: neither]
+    min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
+    max_effects: in one set. [convention]
+    max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
+    max_rounds: of search, each about the fit of the last one. [margins: neither]
+    explained: reduced chi-square of the fitted flights at which no further round is needed. [margins: neither]
+    unexplained: reduced chi-square of the last round's fit above which the search begins again in still air, where a
+    gust stood in for a drag. [definition: twice the noise]
+    still_explained: of that search, up to which it counts, and of named effects, up to which rivals that need less are
+    sought. [definition: that of a typical window that is explained]
+    max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
+    search goes fewer steps. [margins: neither]
+    max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
+    goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
+    max_paired: best single effects with which pairs are tried. [margins: neither]
+    max_trials: best additions that are cross-validated in one step. [margins: neither]
+    max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: of two sets that
+    columns led astray the one that leaves least was among five]
+    max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
+    min_contender_share: of the best score that a contender must have. [margins: neither]
+    bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
+    amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
+    min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
+    """
+
+    min_gain: Score = 40.0
+    min_fault_gain: Score = 15.0
+    relevant: Share = 0.001
+    min_share: Share = 0.003
+    parsimony: Share = 0.985
+    min_cross_validated: Share = 0.3
+    min_improvement: Score = 1.0
+    max_effects: Count = 10
+    max_steps: Count = 60
+    max_rounds: Count = 5
+    explained: Factor = 1.05
+    unexplained: Factor = 4.0
+    still_explained: Factor = 1.5
+    max_growth: Factor = 2.0
+    max_pair_share: Share = 0.5
+    max_paired: Count = 8
+    max_trials: Count = 12
+    max_proposed: Count = 5
+    max_contenders: Count = 5
+    min_contender_share: Share = 0.5
+    bound_slack: Score = 0.02
+    amplitude: Range = (0.4, 1.9)
+    min_gust_share: Share = 0.03
+
+
+class RivalThresholds(ThresholdGroup, frozen=True):
+    """When these flights cannot tell two effects apart.
+
+    score_margin: difference of score within which they cannot. [margins: neither]
+    gain_share: of the gain, the same. [margins: half]
+    added_share: of what an effect adds to the others, that a rival may leave to be declared. [margins: neither]
+    max_rivals: that are compared with an effect. [margins: neither]
+    min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
+    are declared where the catalogue says that they look alike. [margins: neither]
+    min_alike_share: of an effect's gain that one which the catalogue declares to look like it has in its place, above
+    which the two are declared where the verdict is unknown; and which a refused one takes from it. [definition: half of
+    it]
+    """
+
+    score_margin: Score = 12.0
+    gain_share: Share = 0.01
+    added_share: Share = 0.15
+    max_rivals: Count = 7
+    min_narrow_ratio: Share = 0.95
+    min_alike_share: Share = 0.5
+
+
+class GustThresholds(ThresholdGroup, frozen=True):
+    """Random air motion.
+
+    max_frequency: of the cosines that make it up, Hz. [formula: 86 % of the variance of a gust of 1 s lies below]
+    corners: of its spectrum, the one that is marginalised first; its strength is that of the likeliest, Hz.
+    [definition: correlation times of 1, 2 and 0.5 s]
+    intensity: range of its strength that is tried, m/s. [definition: from nothing to a storm]
+    strengths: that are tried in it. [formula: neighbours differ by a third]
+    part: of a segment whose air is independent of that of the others, s. [formula: many correlation times]
+    over_error: by which it must exceed an estimator's error of velocity, which is in several channels at once.
+    [benchmarks/verdicts.py: that error looks like gusts of 0.5 to 1.7 times its size]
+    """
+
+    max_frequency: Positive = 0.7
+    corners: tuple[Positive, ...] = (0.15, 0.08, 0.3)
+    intensity: tuple[Positive, Positive] = (0.01, 15.0)
+    strengths: Annotated[int, Meta(ge=3)] = 26
+    part: Positive = 30.0
+    over_error: Factor = 2.0
+
+
+class ResidualTestThresholds(ThresholdGroup, frozen=True):
+    """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
+
+    features: random Fourier features of state or position. [margins: neither]
+    chances: residuals from elsewhere, of which the most predictable shows what chance predicts. [formula: one in nine
+    exceeds all of eight]
+    state_fineness: of a feature of the state, over the standard deviation of the state. [margins: neither]
+    velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [margins: neither]
+    position_fineness: the same of position alone, where a field of air repeats. [margins: neither]
+    ridges: that are tried. [margins: neither]
+    low_band: in which accelerometer and pose must not agree, Hz. [margins: neither]
+    reference_band: against which that is compared, Hz. [margins: double]
+    line_band: in which a spectral line is sought, Hz. [margins: neither]
+    line_rows: of a periodogram. [margins: neither]
+    line_refinement: frequencies within a bin of which a line's own is the best. [definition]
+    line_surroundings: bins over which a line's surroundings are the median. [margins: neither]
+    agreement_powers: independent ones in the low band with which `max_agreement` holds; with fewer a torque's slow part
+    exceeds it by chance. [`benchmarks/short_logs.py`, seeds from
+    930,000: torques are 2.75 times as strong there]
+    window_width: noise bandwidth of a window of Hann, bins. [formula]
+    chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
+    line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
+    deviation of 100 values holds to 7 %]
+    state_shift: by which the state is taken later, and earlier, where it predicts, s. [benchmarks/counts.py, seeds
+    24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
+    catalogue 0.9 to 1.2 times]
+    """
+
+    chances: Count = 8
+    features: Count = 120
+    state_fineness: Positive = 0.35
+    velocity_fineness: Positive = 1.5
+    position_fineness: Positive = 1.5
+    ridges: tuple[Positive, ...] = (1e2, 1e3, 1e4, 1e5)
+    low_band: Range = (0.05, 1.5)
+    reference_band: Range = (2.5, 6.5)
+    line_band: Range = (0.6, 7.0)
+    line_rows: Annotated[int, Meta(ge=64)] = 512
+    line_refinement: Count = 9
+    line_surroundings: Count = 61
+    agreement_powers: Count = 25
+    window_width: Factor = 1.5
+    chance: Share = 1e-3
+    line_draws: Annotated[int, Meta(ge=10)] = 100
+    state_shift: Positive = 0.16
