@@ -138,6 +138,7 @@ class _Trial:
         self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
         self._fits: dict[frozenset[str], Fit] = {}
         self._shares: dict[tuple[frozenset[str], str], float] = {}
+        self._changes: dict[tuple[Fit, str], dict[str, ErrorChange]] = {}
 
     def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
         """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's.
@@ -181,13 +182,12 @@ class _Trial:
 
     def _error_changes(self, best: Fit, candidate: Candidate, floor: Floats) -> dict[str, ErrorChange]:
         """Errors without an effect and with it, by kind of channel, on the held-out flights if it shows there."""
-        regression, thresholds = self._regression, self._regression.thresholds.acceptance
         values, fewer = left_out(best, candidate, self._vehicle)
         judge = self._held_out
         if not all(np.isfinite(y).all() for y in judge.rows(fewer)):  # at bounds, as a rotor that is read as standing
             values, fewer = best.values, self._lacking(best, candidate)
-        if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
-            judge, floor = self._others, regression.noise.floor
+        if not self._shows(judge, best.vehicle, fewer):
+            judge, floor = self._others, self._regression.noise.floor
         return self._judged_by(judge, floor, best, candidate, fewer, values)
 
     def _judged_by(
@@ -235,6 +235,8 @@ class _Trial:
             return refused("contradicted", "imu", **numbers)
         own = {kind: by_kind[kind] for kind in kinds if kind != "attitude_rate" or not candidate.effect.moves_vehicle}
         worst, not_confirmed = max(own, key=lambda kind: own[kind].rise), total_change(own) > 0
+        if not not_confirmed and (acted := self._kind_of(best, candidate)) in own and own[acted].rise > 0:
+            worst, not_confirmed = acted, True
         for kind, change in own.items():  # a motion's effect shows in the attitude rate by clocks alone
             if change.is_worse(limits) or (not_confirmed and kind == worst):
                 numbers = {"before": change.before, "after": change.after, "floor": change.floor}
@@ -255,10 +257,28 @@ class _Trial:
         by_kind = self._judged_by(self._others, self._regression.noise.floor, best, candidate, fewer, values)
         return _strength(by_kind) >= self._limits.min_rise
 
+    def _kind_of(self, best: Fit, candidate: Candidate) -> str:
+        """The kind of channel in which an effect changes most, over its floor; empty where held-out flights show none.
+
+        An inertia moves forces, too, by the clocks and the thrust of commands that fit beside it.
+        """
+        if not self._shows(self._held_out, best.vehicle, left_out(best, candidate, self._vehicle)[1]):
+            return ""
+        alone = self._alone(best, candidate)
+        return max(alone, key=lambda kind: alone[kind].size / alone[kind].floor)
+
+    def _shows(self, judge: HeldOut, one: Vehicle, other: Vehicle) -> bool:
+        """Whether flights show the difference of two vehicles."""
+        required = self._regression.thresholds.acceptance.min_held_out_change
+        return _squared_change(judge.rows(one), judge.rows(other), self._regression) >= required
+
     def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
         """Held-out errors without an effect and with it, by kind of channel, the others staying as they are."""
-        fewer = self._lacking(best, candidate)
-        return self._held_out.channel_changes(fewer, best.vehicle, self._held_out.floor(best.vehicle))
+        place = (best, candidate.key)
+        if place not in self._changes:
+            fewer, floor = self._lacking(best, candidate), self._held_out.floor(best.vehicle)
+            self._changes[place] = self._held_out.channel_changes(fewer, best.vehicle, floor)
+        return self._changes[place]
 
     def _lacking(self, best: Fit, candidate: Candidate) -> Vehicle:
         """The fitted vehicle without an effect, the others staying as they are."""

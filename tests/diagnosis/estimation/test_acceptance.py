@@ -291,3 +291,23 @@ def test_a_trial_ends_where_what_it_needs_fails(arpl_250g, monkeypatch):
     of_all = len(judged)
     assert fit_that_keeps(regression, both, ["imu_bias"], dataset, arpl_250g) is None
     assert len(judged) - of_all < of_all
+
+
+def test_an_effect_that_helps_where_it_does_not_act_alone_is_not_named(arpl_250g, monkeypatch):
+    """An inertia of 1.27 lowered the vertical force by the thrust of commands that fitted beside it, and no torque."""
+    hidden = [EffectUse("rotational_damping", {"coefficient": 4e-3})]
+    names = ("rotational_damping", "imu_bias", "gyro_bias", "time_delay")
+    data = make_dataset(planted_flights(arpl_250g, hidden, seed=8, manoeuvres=MANOEUVRES), arpl_250g)
+    regression = make_regression(arpl_250g, {n: CATALOGUE[n] for n in names}, data.fitted, data.flight_of)
+    (damping,) = (c for c in regression.candidates if c.effect.name == "rotational_damping")
+    assert judged_fit(regression, [damping], data, arpl_250g).fit.keys == ("rotational_damping",)
+    compare = HeldOut.channel_changes
+
+    def elsewhere(judge, before, after, floor):
+        by_kind = compare(judge, before, after, floor)
+        angular = dataclasses.replace(by_kind["angular"], by_axis=(0.01, 0.0, 0.0), deviations=0.5)
+        return {**by_kind, "angular": angular, "mocap": dataclasses.replace(by_kind["mocap"], by_axis=(0.0, 0.0, -0.3))}
+
+    monkeypatch.setattr(HeldOut, "channel_changes", elsewhere)
+    (refused,) = judged_fit(regression, [damping], data, arpl_250g).refused
+    assert (refused.name, refused.reason, refused.where) == ("rotational_damping", "channel_worse", "angular")
