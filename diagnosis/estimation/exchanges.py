@@ -15,8 +15,9 @@ from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.slow_motion import SlowMotion
-from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.candidates import Candidate, scales_rotors
 from diagnosis.selection.regression import Regression
+from diagnosis.selection.rivals import declared_alike, rivals_of
 from diagnosis.selection.search import Scored, Search, Set
 from dynamics.vehicle import Vehicle
 
@@ -28,7 +29,8 @@ def with_exchanges(
 
     What is sought is the set of which slow motion leaves least, with more effects than held-out flights bear out: what
     stands in for a small one is no exchange for its sake. Where slow motion refutes that set, too, something else is
-    missing, and none is better than another. Of a set that it does not refute, two effects may be one of another name.
+    missing, and none is better than another. Of a set that it does not refute, two effects may be one of another name,
+    and what scales the rotors' forces may be what is declared to look alike.
     vehicle: that they are added to. in_gust: whether the air moves, which is as slow and refutes any set.
     """
     if not accepted.fit.candidates:
@@ -36,6 +38,7 @@ def with_exchanges(
     walk = _Walk(regression, vehicle)
     right = in_gust or walk.is_within_chance(accepted.fit)
     best = walk.merged(accepted.fit) if right else walk.from_fit(accepted.fit)
+    best = best if in_gust else walk.decided(best)
     if set(best.keys) == set(accepted.fit.keys) or not (right or walk.is_within_chance(best)):
         return accepted
     judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
@@ -69,6 +72,31 @@ class _Walk:
                 break
             fitted = best
         return fitted
+
+    def decided(self, fitted: Fit) -> Fit:
+        """The fit with what is declared to look alike in place of what scales the rotors' forces, or the reverse.
+
+        A thrust constant acts on the moments, a mass does not, and turbulence makes the moments look too small: all
+        motion prefers the constant wherever the thrust is less than the weight says, and the mass where it is more.
+        """
+        while True:
+            trials = [fit(self._regression, one, vehicle=self._vehicle) for one in self._alike(fitted.candidates)]
+            best = min((trial for trial in trials if not trial.unsettled), key=self._cost, default=fitted)
+            if not self.is_better(best, fitted):
+                return fitted
+            fitted = best
+
+    def _alike(self, present: Sequence[Candidate]) -> list[Set]:
+        """The same with one effect in place of another that is declared alike, one of which scales the rotors."""
+        sets = list[Set]()
+        for candidate in present:
+            others = [c for c in present if c is not candidate]
+            for scored in rivals_of(self._search, others, candidate)[1:]:
+                rival = scored.candidates[-1]
+                scales = scales_rotors(candidate) or scales_rotors(rival)
+                if scales and declared_alike(candidate, rival) and len(rival.columns) == len(candidate.columns):
+                    sets.append(scored.candidates)
+        return sets
 
     def _is_as_good(self, trial: Fit, fitted: Fit) -> bool:
         """Whether a fit leaves no more of all motion than the coefficients cost that it saves."""

@@ -80,13 +80,20 @@ def proposed(monkeypatch):
         def merged(self, chosen):
             return [scored for scored in self.near(chosen) if len(scored.candidates) < len(self.about)]
 
-    def joint(regression, some, vehicle, level):
+    def joint(regression, some, vehicle, level=0.0):
         return fitted(*(c.key for c in some))
+
+    def rivals_of(search, others, chosen):
+        taken = {chosen.key, *(c.key for c in others)}
+        rivals = [c for c in REGRESSION.candidates if c.key not in taken]
+        return [SimpleNamespace(candidates=(*others, c)) for c in (chosen, *rivals)]
 
     monkeypatch.setattr(exchanges, "SlowMotion", lambda regression: Slow())
     monkeypatch.setattr(exchanges, "Search", Search)
     monkeypatch.setattr(exchanges, "_search_about", lambda regression, start: Search(None, frozenset(start.keys)))
     monkeypatch.setattr(exchanges, "fit", joint)
+    monkeypatch.setattr(exchanges, "rivals_of", rivals_of)
+    monkeypatch.setattr(exchanges, "scales_rotors", lambda candidate: candidate.key != DAMPING)
     return sets
 
 
@@ -124,6 +131,18 @@ def test_what_stands_in_for_an_effect_that_is_refused_is_no_exchange(proposed, m
     monkeypatch.setitem(LEFT, frozenset({MASS, DAMPING}), 600.0)
     proposed[frozenset({MASS, TORQUE})] = [(MASS, DAMPING), (MASS, TORQUE, INERTIA)]
     assert exchanged(monkeypatch, judge=lambda names: names - {INERTIA}) == {MASS, TORQUE}
+
+
+@pytest.mark.parametrize(
+    ("left", "in_gust", "named"), [(60.0, False, THRUST), (95.0, False, MASS), (60.0, True, MASS)]
+)
+def test_slow_motion_decides_between_what_scales_the_rotors_and_its_look_alike(
+    proposed, monkeypatch, left, in_gust, named
+):
+    """Turbulence makes moments look too small, so that all motion prefers the mass to a constant above one."""
+    monkeypatch.setitem(LEFT, frozenset({MASS, TORQUE}), 100.0)
+    monkeypatch.setitem(LEFT, frozenset({THRUST, TORQUE}), left)
+    assert exchanged(monkeypatch, in_gust=in_gust) == {named, TORQUE}
 
 
 def test_what_held_out_flights_refuse_is_not_exchanged(proposed, monkeypatch):
