@@ -133,9 +133,7 @@ def test_what_stands_in_for_an_effect_that_is_refused_is_no_exchange(proposed, m
     assert exchanged(monkeypatch, judge=lambda names: names - {INERTIA}) == {MASS, TORQUE}
 
 
-@pytest.mark.parametrize(
-    ("left", "in_gust", "named"), [(60.0, False, THRUST), (95.0, False, MASS), (60.0, True, MASS)]
-)
+@pytest.mark.parametrize(("left", "in_gust", "named"), [(60.0, False, THRUST), (95.0, False, MASS), (60.0, True, MASS)])
 def test_slow_motion_decides_between_what_scales_the_rotors_and_its_look_alike(
     proposed, monkeypatch, left, in_gust, named
 ):
