@@ -138,7 +138,7 @@ class _Trial:
         self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
         self._fits: dict[frozenset[str], Fit] = {}
         self._shares: dict[tuple[frozenset[str], str], float] = {}
-        self._changes: dict[tuple[Fit, str], dict[str, ErrorChange]] = {}
+        self._by_itself: dict[tuple[Fit, str], dict[str, ErrorChange]] = {}
 
     def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
         """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's.
@@ -275,10 +275,10 @@ class _Trial:
     def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
         """Held-out errors without an effect and with it, by kind of channel, the others staying as they are."""
         place = (best, candidate.key)
-        if place not in self._changes:
+        if place not in self._by_itself:
             fewer, floor = self._lacking(best, candidate), self._held_out.floor(best.vehicle)
-            self._changes[place] = self._held_out.channel_changes(fewer, best.vehicle, floor)
-        return self._changes[place]
+            self._by_itself[place] = self._held_out.channel_changes(fewer, best.vehicle, floor)
+        return self._by_itself[place]
 
     def _lacking(self, best: Fit, candidate: Candidate) -> Vehicle:
         """The fitted vehicle without an effect, the others staying as they are."""
