@@ -58,6 +58,8 @@ def _with_rivals_of_refused(
     search, max_rivals = Search(regression), regression.thresholds.acceptance.max_rivals
     spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
     for candidate in [c for c in chosen if c.identity in spoiling]:
+        if candidate.key in accepted.fit.keys:  # as the rival of another one
+            continue
         sets = [[c for c in chosen if c is not candidate], list(accepted.fit.candidates)]
         tried = [
             *_rivals_of_sure_part(regression, accepted, candidate, vehicle),

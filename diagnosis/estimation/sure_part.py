@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from diagnosis.estimation.fitted import Fit, neutral_values
-from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.candidates import Candidate, scales_rotors
 from diagnosis.selection.rivals import declared_alike
 from diagnosis.selection.search import Search
 from dynamics.vehicle import Vehicle
@@ -19,8 +19,11 @@ from dynamics.vehicle import Vehicle
 def sure_part(search: Search, fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> Candidate | None:
     """The same candidate with those parameters alone that differ from neutral.
 
-    None where all of them do, or none, or where the others gain no more than chance. vehicle: that lacks the effect.
+    None where all of them do, or none, where the others gain no more than chance, and for what does not scale the
+    forces of all rotors, to which the answer is. vehicle: that lacks the effect.
     """
+    if candidate.rotor is not None or not scales_rotors(candidate):
+        return None
     limits, estimates = search.regression.thresholds, list(fitted.estimates.items())
     neutral = neutral_values(fitted, candidate, vehicle)
     sure = {
