@@ -56,10 +56,10 @@ def test_a_script_whose_import_starts_processes_is_named(tmp_path: Path, killed:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(killed=killed))
     ran = subprocess.run([sys.executable, str(script)], check=False, capture_output=True, text=True, timeout=120)
-    last = ran.stderr.splitlines()[-1]
     assert (ran.returncode, ran.stdout) == (1, "")
-    assert last.startswith("dynamics.errors.RequestError:")
-    assert 'if __name__ == "__main__":' in last
+    said = [line for line in ran.stderr.splitlines() if line.startswith("dynamics.errors.RequestError:")]
+    assert said, ran.stderr  # on a busy machine a warning of Python's own resource tracker may follow it
+    assert 'if __name__ == "__main__":' in said[-1]
 
 
 def die_on_two(number: int) -> int:
