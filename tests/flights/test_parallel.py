@@ -57,9 +57,9 @@ def test_a_script_whose_import_starts_processes_is_named(tmp_path: Path, killed:
     script.write_text(SCRIPT.format(killed=killed))
     ran = subprocess.run([sys.executable, str(script)], check=False, capture_output=True, text=True, timeout=120)
     assert (ran.returncode, ran.stdout) == (1, "")
-    said = [line for line in ran.stderr.splitlines() if line.startswith("dynamics.errors.RequestError:")]
-    assert said, ran.stderr  # on a busy machine a warning of Python's own resource tracker may follow it
-    assert 'if __name__ == "__main__":' in said[-1]
+    messages = [line for line in ran.stderr.splitlines() if line.startswith("dynamics.errors.RequestError:")]
+    assert messages, ran.stderr  # on a busy machine a warning of Python's own resource tracker may follow it
+    assert 'if __name__ == "__main__":' in messages[-1]
 
 
 def die_on_two(number: int) -> int:
