@@ -481,12 +481,13 @@ def _may_be_one_size(ratio: float, agreement: float) -> bool:
 
     Noise in one of two equal signals makes it larger by the inverse of their correlation.
     """
-    return _SAME_SIZE[0] * agreement < ratio < _SAME_SIZE[1] / agreement
+    return agreement > 0 and _SAME_SIZE[0] * agreement < ratio < _SAME_SIZE[1] / agreement
 
 
 def _agreement(one: Floats, other: Floats) -> float:
-    """Correlation about zero: 1 for the same motion, -1 for the opposite one."""
-    return float(np.mean(one * other) / (_rms(one) * _rms(other)))
+    """Correlation about zero: 1 for the same motion, -1 for the opposite one, 0 where one stands still."""
+    size = _rms(one) * _rms(other)
+    return float(np.mean(one * other)) / size if size > 0 else 0.0
 
 
 def _mean(values: Floats, span: int) -> Floats:

@@ -61,6 +61,7 @@ def damaged(stream: Stream, damage: str, seed: int) -> Stream | None:
     rows=st.sampled_from([5, 60, 700, 2000]),
 )
 @example(damages={"specific_force": "huge", "position": "shift"}, seed=0, rows=5)  # an impact without any height
+@example(damages={"rate": "zero"}, seed=0, rows=700)  # a ratio to a size of zero
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_damage_is_judged_or_refused_by_name(damages: dict[str, str], seed: int, rows: int) -> None:
     streams: list[Stream] = []
