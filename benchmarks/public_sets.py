@@ -104,6 +104,7 @@ SETS = {
         crazyflie_brushless,
         "Busetto et al., arXiv 2512.14450; https://github.com/idsia-robotics/nanodrone-sysid-benchmark",
         tested_on="melon_*",
+        unverified="torque over thrust; that its Parquet tables have the columns of its text tables",
     ),
     "neurobem": PublicSet(
         "NeuroBEM",
@@ -128,9 +129,9 @@ SETS = {
 
 def flights_below(public: PublicSet, folder: Path) -> list[Path]:
     """The files of a set's flights, in the order of its patterns and of their names; of a flight in two formats one."""
-    paths: dict[str, Path] = {}
+    paths: dict[Path, Path] = {}
     for path in (path for pattern in public.patterns for path in sorted(folder.glob(pattern))):
-        paths.setdefault(path.name.partition(".")[0], path)
+        paths.setdefault(path.parent / path.name.partition(".")[0], path)
     return list(paths.values())
 
 

@@ -6,6 +6,7 @@ Held-out flights judge each set (`diagnosis.estimation.acceptance`).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, deviations_from_neutral, fit_that_keeps, judged_fit
@@ -61,11 +62,8 @@ def _with_rivals_of_refused(
         if candidate.key in accepted.fit.keys:  # as the rival of another one
             continue
         sets = [[c for c in chosen if c is not candidate], list(accepted.fit.candidates)]
-        tried = [
-            *_rivals_of_sure_part(regression, accepted, candidate, vehicle),
-            *_rivals_in(search, sets, candidate, spoiling, max_rivals),
-        ]
-        for others, rival in tried:
+        of_sure_part = _rivals_of_sure_part(regression, accepted, candidate, vehicle)
+        for others, rival in chain(of_sure_part, _rivals_in(search, sets, candidate, spoiling, max_rivals)):
             needed = {rival.key, *accepted.fit.keys}
             trial = fit_that_keeps(regression, [*others, rival], needed, dataset, vehicle, refused=accepted.refused)
             if trial is not None:

@@ -38,7 +38,7 @@ def with_exchanges(
     walk = _Walk(regression, vehicle)
     right = in_gust or walk.is_within_chance(accepted.fit)
     best = walk.merged(accepted.fit) if right else walk.from_fit(accepted.fit)
-    best = best if in_gust else walk.decided(best)
+    best = walk.decided(best) if right and not in_gust else best
     if set(best.keys) == set(accepted.fit.keys) or not (right or walk.is_within_chance(best)):
         return accepted
     judged = judged_fit(regression, best.candidates, dataset, vehicle, refused=accepted.refused)
@@ -56,22 +56,16 @@ class _Walk:
 
     def from_fit(self, fitted: Fit) -> Fit:
         """The fit from where no further step leaves clearly less."""
-        while True:
-            trials = self._fits(Search.near, fitted)
-            best = min((trial for trial in trials if not trial.unsettled), key=self._cost, default=fitted)
-            if not self.is_better(best, fitted):
-                return fitted
-            fitted = best
+        return self._walked(fitted, lambda here: self._fits(self._proposed(Search.near, here), here))
 
     def merged(self, fitted: Fit) -> Fit:
         """The fit with one effect in place of two, again and again, where that leaves as much of all motion, too."""
-        while len(fitted.candidates) > 1:
-            trials = self._fits(Search.merged, fitted)
-            best = min((trial for trial in trials if self._is_as_good(trial, fitted)), key=self._cost, default=fitted)
-            if not self.is_better(best, fitted):
-                break
-            fitted = best
-        return fitted
+
+        def trials(here: Fit) -> list[Fit]:
+            sets = self._proposed(Search.merged, here) if len(here.candidates) > 1 else []
+            return [trial for trial in self._fits(sets, here) if self._is_as_good(trial, here)]
+
+        return self._walked(fitted, trials)
 
     def decided(self, fitted: Fit) -> Fit:
         """The fit with what is declared to look alike in place of what scales the rotors' forces, or the reverse.
@@ -79,9 +73,13 @@ class _Walk:
         A thrust constant acts on the moments, a mass does not, and turbulence makes the moments look too small: all
         motion prefers the constant wherever the thrust is less than the weight says, and the mass where it is more.
         """
+        return self._walked(fitted, lambda here: self._fits(self._alike(here.candidates), here))
+
+    def _walked(self, fitted: Fit, trials: Callable[[Fit], Sequence[Fit]]) -> Fit:
+        """The fit to which trials about each lead, until none leaves clearly less."""
         while True:
-            trials = [fit(self._regression, one, vehicle=self._vehicle) for one in self._alike(fitted.candidates)]
-            best = min((trial for trial in trials if not trial.unsettled), key=self._cost, default=fitted)
+            settled = (trial for trial in trials(fitted) if not trial.unsettled)
+            best = min(settled, key=self._cost, default=fitted)
             if not self.is_better(best, fitted):
                 return fitted
             fitted = best
@@ -101,7 +99,7 @@ class _Walk:
     def _is_as_good(self, trial: Fit, fitted: Fit) -> bool:
         """Whether a fit leaves no more of all motion than the coefficients cost that it saves."""
         saved = self._penalty(fitted) - self._penalty(trial)
-        return not trial.unsettled and (trial.chi_square - fitted.chi_square) * self._regression.total < saved
+        return (trial.chi_square - fitted.chi_square) * self._regression.total < saved
 
     def is_within_chance(self, fitted: Fit) -> bool:
         """Whether slow motion leaves little more than it would of noise."""
@@ -125,10 +123,9 @@ class _Walk:
             self._results[fitted] = self._slow.left(fitted, self._vehicle)
         return self._results[fitted]
 
-    def _fits(self, propose: Callable[[Search, Set], Sequence[Scored]], fitted: Fit) -> list[Fit]:
-        """Fits of the best of the sets that a search about a fit proposes."""
-        proposed = self._proposed(propose, fitted)
-        return [fit(self._regression, s, vehicle=self._vehicle, level=fitted.chi_square) for s in proposed]
+    def _fits(self, sets: Sequence[Set], fitted: Fit) -> list[Fit]:
+        """Of sets that are compared with a fit."""
+        return [fit(self._regression, s, vehicle=self._vehicle, level=fitted.chi_square) for s in sets]
 
     def _proposed(self, propose: Callable[[Search, Set], Sequence[Scored]], fitted: Fit) -> list[Set]:
         """Sets that leave less by columns about a fit, the best first.

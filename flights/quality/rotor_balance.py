@@ -14,7 +14,7 @@ from flights.flight import Flight
 from flights.quality.findings import Finding
 
 FAR_OFF = 0.8  # of the peers' speed, or its inverse: uneven
-IMPOSSIBLE = 0.6  # the same: with less than that, 0.36 of its peers' thrust, no quadrotor hovers
+FAULTY = 0.6  # the same, beyond which a sensor is wrong without any command (a convention: 0.36 of its peers' thrust)
 NEAR = 0.85  # of the peers' command, above which the rotor's command is usual
 UNEVEN_ADVICE = (
     "log the motor commands, too: a load off the centre or a propeller that is bent or canted needs it, else the "
@@ -61,7 +61,7 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
             text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as commanded"
             findings.append(Finding("warning", "uneven_rotor", text, "look for a bent propeller or a load off centre"))
             continue
-        if uneven.as_commanded is None and IMPOSSIBLE <= share <= 1 / IMPOSSIBLE:
+        if uneven.as_commanded is None and FAULTY <= share <= 1 / FAULTY:
             text = f"rotor {rotor} reads {share:.2f} times the speed of its peers, and no command tells why"
             findings.append(Finding("warning", "uneven_rotor", text, UNEVEN_ADVICE))
             continue

@@ -80,7 +80,7 @@ def proposed(monkeypatch):
         def merged(self, chosen):
             return [scored for scored in self.near(chosen) if len(scored.candidates) < len(self.about)]
 
-    def joint(regression, some, vehicle, level=0.0):
+    def joint(regression, some, vehicle, level):
         return fitted(*(c.key for c in some))
 
     def rivals_of(search, others, chosen):
