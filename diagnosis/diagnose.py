@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.command_gain import command_gain
@@ -34,13 +35,14 @@ from diagnosis.estimation.revision import (
 )
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
+from diagnosis.models.pose_errors import with_velocity_errors
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
 from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
+from diagnosis.selection.residual_tests import ErringRows, Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.selected import Selection, with_gust_beside
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
 from diagnosis.verdict import (
@@ -58,6 +60,8 @@ from dynamics.progress import Progress, no_progress
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights.followed import FollowedFlight
+
+SEED = 3  # of an estimator's errors that are added, so that the same flights have the same answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,16 +275,30 @@ class _Judgement:
         selection = with_gust_beside(regression, self._selected, accepted.fit.candidates)
         after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
         fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
-        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected)
+        erring = self._erring_rows(accepted, fitted)
+        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected, erring=erring)
         tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
         refused = gust_refusal(regression, selection, tests, regression.thresholds.verdict)
         gusty = selection.gust_detected and refused is None
         if gusty and (gust := turbulence_of(selection.gust, regression)) is not None:
-            tests = run_residual_tests(regression, fitted, by_position=True, gust=gust)
+            tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, erring=erring)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
         rejected = self._rejected(accepted, tests, after, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
+
+    def _erring_rows(self, accepted: Accepted, fitted: list[Floats]) -> ErringRows | None:
+        """The fitted segments with more of an estimator's errors. fitted: (m, 12) residuals without."""
+        regression = self._regression
+        if not regression.pose.there:
+            return None
+        rows = residuals_in(regression, accepted.fit.vehicle, self._erring)
+        return ErringRows(self._erring, [more - y for more, y in zip(rows, fitted, strict=True)])
+
+    @cached_property
+    def _erring(self) -> list[Segment]:
+        limits = self._regression.thresholds.pose
+        return with_velocity_errors(self._dataset.fitted, np.random.default_rng(SEED), limits)
 
     def revised(self, accepted: Accepted) -> tuple[Accepted, _Judged]:
         """The effects that the residuals leave, those that mattered after all among them, and what is said of these."""

@@ -114,7 +114,7 @@ def decided_rivals(
     To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
     The fitted flights alone decide.
     """
-    limits, thresholds = regression.thresholds, regression.thresholds.acceptance
+    thresholds = regression.thresholds.acceptance
     search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
 
     def chi_square(candidates: Sequence[Candidate], of_best: float = math.inf) -> float:
@@ -122,14 +122,14 @@ def decided_rivals(
         return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
 
     for place in range(len(chosen)):
-        explained = place >= thresholds.leading and (level or chi_square(best)) < limits.search.explained
+        explained = place >= thresholds.leading and (level or chi_square(best)) < regression.explained
         if explained:
             break
         others = [c for i, c in enumerate(best) if i != place]
         near = near_rivals(search, others, rivals_of(search, others, best[place]))
         trials = [s.candidates[-1] for s in to_fit(near, best[place], thresholds.max_rivals)]
         level = level or (chi_square(best) if trials else 0.0)
-        if level >= limits.search.explained:
+        if level >= regression.explained:
             trials += [kin for kin in _drags(search, others, best[place]) if kin not in trials]
         for rival in trials:
             trial = [*best[:place], rival, *best[place + 1 :]]

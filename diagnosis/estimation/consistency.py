@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.estimation.fit_equations import by_block
 from diagnosis.estimation.fitted import Fit, coefficients
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.regression import Regression
@@ -57,7 +58,8 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
     shared, commands = regression.shared, list(regression.shared.columns)
     where = [*(i for c in fitted.candidates for i in c.columns), *commands]
     prior = np.diag([0.0] * (len(where) - len(commands)) + shared.information.tolist())
-    blocks = list(_blocks(regression, rows, where))
+    at_fit = np.concatenate([*(coefficients(fitted, c) for c in fitted.candidates), np.zeros(len(commands))])
+    blocks = list(_blocks(regression, rows, where, at_fit))
     grams, products = np.array([b.gram for b in blocks]), np.array([b.product for b in blocks])
     early, limits = np.array([b.early for b in blocks]), regression.thresholds.consistency
     flight, count = np.array([b.flight for b in blocks]), regression.total / len(regression.noise.active)
@@ -87,21 +89,33 @@ class _Block:
     early: bool
 
 
-def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]) -> Iterator[_Block]:
+def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int], at_fit: Floats) -> Iterator[_Block]:
+    """The blocks, less what an estimator's error of velocity adds to them: it shrinks a drag most where motion is weak.
+
+    at_fit: (k,) coefficients of the columns.
+    """
     noise = regression.noise
     length = max(noise.order, round(regression.thresholds.equation_error.block * regression.rate))
     lengths, flown = Counter[int](), Counter[int]()
     logs = list(dict.fromkeys(segment.flight for segment in regression.segments))
     for flight, y in zip(regression.flight_of, rows, strict=True):
         lengths[flight] += len(y)
-    for segment, flight, y, columns in zip(
-        regression.segments, regression.flight_of, rows, regression.columns, strict=True
+    for place, (segment, flight, y, columns) in enumerate(
+        zip(regression.segments, regression.flight_of, rows, regression.columns, strict=True)
     ):
         white_y, white_x = noise.whiten(y), noise.whiten(columns[:, :, list(where)])
-        for start in range(0, len(white_y), length):
-            x = white_x[start : start + length].reshape(-1, len(where))
+        starts = np.arange(0, len(white_y), length)
+        grams = by_block(white_x, white_x, starts)
+        products = by_block(white_x, white_y[:, :, None], starts)[:, :, 0]
+        if regression.pose.there:
+            y_error, x_error = regression.errors[place]
+            of_columns = noise.whiten(np.asarray(x_error[:, :, list(where)], dtype=float))
+            of_rows = noise.whiten(y_error) - of_columns @ at_fit
+            grams = grams - by_block(of_columns, of_columns, starts)
+            products = products - by_block(of_columns, of_rows[:, :, None], starts)[:, :, 0]
+        for start, gram, product in zip(starts.tolist(), grams, products, strict=True):
             early = flown[flight] + start + length / 2 < lengths[flight] / 2
-            yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), logs.index(segment.flight), early)
+            yield _Block(gram, product, logs.index(segment.flight), early)
         flown[flight] += len(y)
 
 

@@ -18,7 +18,7 @@ from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, neutral_
 from diagnosis.estimation.gauss_newton import Step, settle, settle_from_afar
 from diagnosis.estimation.linear_rows import LinearRows
 from diagnosis.estimation.significance import deviations_of
-from diagnosis.selection.candidates import Candidate, scales_rotors
+from diagnosis.selection.candidates import Candidate, scales_rotors, shifts_rotors
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
@@ -86,7 +86,7 @@ def _fitted(
         chi_square = problem.chi_square(ended.values)
     values, last, left = ended.values, ended.last, ended.left
     covariance = last.covariance + np.outer(left, left)
-    covariance += problem.clock_covariance(values, last)
+    covariance += problem.clock_covariance(values, last) + problem.pose_covariance(values, last)
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates: dict[tuple[str, str], ParameterEstimate] = {}
@@ -131,7 +131,7 @@ _beyond: WeakKeyDictionary[Regression, list[tuple[Fit, Vehicle, Fit]]] = WeakKey
 
 def _slower_where_moved(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
     limits = regression.thresholds.equation_error
-    scaling = [candidate for candidate in fitted.candidates if scales_rotors(candidate)]
+    scaling = [candidate for candidate in fitted.candidates if scales_rotors(candidate) or shifts_rotors(candidate)]
     if not scaling:
         return fitted
     change, covariance = _change_by_cutoff(regression, fitted, vehicle, 1 / limits.slower)
@@ -296,14 +296,25 @@ class _EquationErrorProblem:
                     result += np.outer(moved.change - here.change, moved.change - here.change)
         return np.asarray(result)
 
-    def step(self, values: Floats, others: Mapping[str, float] | None = None) -> Step:
+    def pose_covariance(self, values: Floats, here: Step) -> Floats:
+        """(k, k) covariance that an estimator's pose adds, whose errors are known in size and time by about a half.
+
+        They are taken off the normal equations, and what that moves is as unsure. here: the step from these values.
+        """
+        limits, count = self._regression.thresholds.pose, len(self.free)
+        if not self._regression.pose.there or not np.isfinite(here.cost):
+            return np.zeros((count, count))
+        moved = limits.unsure * (here.change - self.step(values, corrected=False).change)
+        return np.asarray(np.outer(moved, moved))
+
+    def step(self, values: Floats, others: Mapping[str, float] | None = None, *, corrected: bool = True) -> Step:
         """The step from some values; every flight's biases are integrated out.
 
         The covariance is that of blocks of residuals (White, 1980), of few blocks also the noise model's.
-        others: changed parameters that are not fitted, by name.
+        others: changed parameters that are not fitted, by name. corrected: whether errors in variables are taken off.
         """
         count = len(self.free)
-        equations = self._equations({**self._named(values), **(others or {})})
+        equations = self._equations({**self._named(values), **(others or {})}, corrected=corrected)
         if equations is None:
             return Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
@@ -336,8 +347,11 @@ class _EquationErrorProblem:
         )
         return step
 
-    def _equations(self, changed: Mapping[str, float]) -> FitEquations | None:
-        """Normal equations of each flight at changed parameters, None where hidden states have diverged."""
+    def _equations(self, changed: Mapping[str, float], *, corrected: bool = True) -> FitEquations | None:
+        """Normal equations of each flight at changed parameters, None where hidden states have diverged.
+
+        corrected: whether errors in variables are taken off them.
+        """
         r, count = self._regression, len(self.free)
         width = count + len(r.biases.columns)
         grams, instruments = ([np.zeros((width, width)) for _ in r.flights] for _ in range(2))
@@ -349,8 +363,9 @@ class _EquationErrorProblem:
             grams[part.flight] += z.T @ x
             products[part.flight] += z.T @ y
             instruments[part.flight] += z.T @ z
-            grams[part.flight][:count, :count] -= part.error_gram.sum(axis=0)
-            products[part.flight][:count] -= part.error_product.sum(axis=0)
+            if corrected:
+                grams[part.flight][:count, :count] -= part.error_gram.sum(axis=0)
+                products[part.flight][:count] -= part.error_product.sum(axis=0)
             cost += float(y @ y)
             rows.append(part)
         biases = Biases(tuple(range(count, width)), r.biases.information)

@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.command_effects import own_gains
+from diagnosis.models.pose_errors import pose_errors
 from diagnosis.models.prediction import Prediction
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor, sensor_floor
@@ -139,12 +140,28 @@ def sensors_floor(regression: Regression, vehicle: Vehicle, segments: Sequence[S
 def _heard(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], thresholds: Thresholds
 ) -> Floats:
-    measured = segments[0].rotor_source == "measured"
-    predictor = Predictor(
-        vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction
-    )
+    predictor = _predictor(vehicle, catalogue, segments[0], thresholds)
     rows = [channels.unfiltered(s, predictor.predict(s)) for s in segments]
     return sensor_floor(rows, segments[0].rate, segments[0].filters, thresholds.noise)
+
+
+def _predictor(
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], example: Segment, thresholds: Thresholds
+) -> Predictor:
+    measured = example.rotor_source == "measured"
+    return Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction)
+
+
+def errs_as_assumed(regression: Regression, vehicle: Vehicle) -> bool:
+    """Whether the pose's errors enter a vehicle's residuals as they do in the noise, which another one made.
+
+    To a model with twice the drag an estimator's error of velocity is twice the force.
+    """
+    if not regression.pose.there:
+        return True
+    predictor = _predictor(vehicle, regression.catalogue, regression.segments[0], regression.thresholds)
+    errors = pose_errors(regression.segments, predictor, regression.thresholds.pose)
+    return errors.resembles(regression.pose)
 
 
 def floor_norms(floor: Floats) -> dict[str, float]:

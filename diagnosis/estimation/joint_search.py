@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from diagnosis.estimation.alternatives import decided_rivals
 from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.evaluation import errs_as_assumed
 from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.pursuit import about, pursue
 from diagnosis.selection.candidates import Candidate
@@ -33,9 +34,9 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
     if best.chi_square > thresholds.unexplained and (still := select_in_still_air(regression, first)) is not None:
         other = _explored(regression, still)
         best = other if other.chi_square <= thresholds.still_explained else best
-    if best.chi_square > thresholds.explained:
+    if best.chi_square > regression.explained:
         level = _decided_chi_square(best)
-        if level > thresholds.explained:
+        if level > regression.explained:
             again = _pursued(regression, best, level)
             required = regression.thresholds.acceptance.max_redundant_ratio * _decided_chi_square(again)
             best = again if level > required else best
@@ -86,6 +87,7 @@ def _explored(regression: Regression, selection: Selection) -> _Explored:
             fitted = next((f for f in pairs if f.chi_square < thresholds.max_pair_share * fitted.chi_square), fitted)
         # about another fit, a gust beside one that explains the flights is what its columns leave
         is_done = is_explained and (number == 0 or not selection.gust_detected)
+        is_done &= errs_as_assumed(regression, fitted.vehicle)
         if fitted.unsettled or is_done:
             break
         again = about(regression, own, nuisances, fitted)

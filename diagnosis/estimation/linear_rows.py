@@ -66,7 +66,7 @@ class LinearRows:
         example = regression.segments[0]
         self.of_commands = example.rotor_source != "measured"
         cutoff = example.filters.command_cutoff if self.of_commands else example.filters.slow_cutoff
-        self._cutoff = cutoff / slower
+        self._cutoff, self._lag_cutoff = cutoff / slower, example.filters.slow_cutoff / slower
         self._instruments = self.predictor
         if self.predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
             self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)
@@ -87,7 +87,7 @@ class LinearRows:
         slopes |= {name: (slopes[name] - base) / step for name, step in zip(names, steps, strict=True)}
         instruments = slopes | dict(zip(scaling, columns[len(slopes) :], strict=True))
         for name in self._lags:
-            instruments[name] = slow(slopes[name], segment.decimated_rate, segment.filters.slow_cutoff)
+            instruments[name] = slow(slopes[name], segment.decimated_rate, self._lag_cutoff)
         x, z = (np.stack([of[name] for name in self.names], axis=2) for of in (slopes, instruments))
         return channels.measured(segment) - base, x, z
 

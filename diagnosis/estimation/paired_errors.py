@@ -79,20 +79,59 @@ def total_change(by_kind: Mapping[str, ErrorChange]) -> float:
     return sum(sum(change.by_axis) for change in by_kind.values())
 
 
+@dataclass(frozen=True, eq=False)
+class ModelErrors:
+    """Residuals of one model.
+
+    rows: (m, 12) of each segment. of_inputs: (m, 12) of each that errors of measured states make, for each of some
+    draws of these, the same for all models.
+    """
+
+    rows: Sequence[Floats]
+    of_inputs: Sequence[Sequence[Floats]] = ()
+
+    def squares(self, axes: slice) -> list[Floats]:
+        """(m, a) squared errors of each segment in some channels, less what those of measured states make of them."""
+        return [
+            rows[:, axes] ** 2 - sum(one[i][:, axes] ** 2 for one in self.of_inputs) / max(len(self.of_inputs), 1)
+            for i, rows in enumerate(self.rows)
+        ]
+
+    def less(self, other: ModelErrors) -> ModelErrors:
+        """The difference of both models' predictions, of the other's less these."""
+        return ModelErrors(
+            differences(self.rows, other.rows),
+            [differences(one, another) for one, another in zip(self.of_inputs, other.of_inputs, strict=True)],
+        )
+
+    def after(self, skipped: int) -> ModelErrors:
+        """Without so many rows at the start of each segment, at most half of it."""
+
+        def rest(parts: Sequence[Floats]) -> list[Floats]:
+            return [part[min(skipped, len(part) // 2) :] for part in parts]
+
+        return ModelErrors(rest(self.rows), [rest(one) for one in self.of_inputs])
+
+
+def differences(one: Sequence[Floats], other: Sequence[Floats]) -> list[Floats]:
+    """What each segment of one has more than that of the other."""
+    return [a - b for a, b in zip(one, other, strict=True)]
+
+
 def channel_changes(
-    before: Sequence[Floats], after: Sequence[Floats], floor: Floats, rate: float, limits: RelevanceThresholds
+    before: ModelErrors, after: ModelErrors, floor: Floats, rate: float, limits: RelevanceThresholds
 ) -> dict[str, ErrorChange]:
     """By kind of channel, of those that there are.
 
-    before, after: (m, 12) residuals of the same segments. floor: (12,). rate: of the rows, Hz.
+    before, after: of the same segments. floor: (12,). rate: of the rows, Hz.
     """
+    difference = after.less(before)
     compared = {}
     for i, kind in enumerate(channels.KINDS):
         axes = slice(channels.AXES * i, channels.AXES * (i + 1))
         level = float(np.linalg.norm(floor[axes]))
         if level > 0:
-            was, now = ([rows[:, axes] ** 2 for rows in part] for part in (before, after))
-            size = [(a[:, axes] - b[:, axes]) ** 2 for a, b in zip(after, before, strict=True)]
+            was, now, size = before.squares(axes), after.squares(axes), difference.squares(axes)
             floors = np.maximum(floor[axes], limits.min_axis_floor * level)
             expected = [w - d / 2 for w, d in zip(was, size, strict=True)]
             compared[kind] = replace(
@@ -104,24 +143,24 @@ def channel_changes(
 
 
 def open_loop_changes(
-    before: Mapping[float, Sequence[Floats]],
-    after: Mapping[float, Sequence[Floats]],
+    before: Mapping[float, ModelErrors],
+    after: Mapping[float, ModelErrors],
     interval: float,
     limits: RelevanceThresholds,
 ) -> dict[tuple[float, str], ErrorChange]:
     """By horizon, s, and quantity.
 
-    before, after: (W, 12) errors of each segment's windows at each horizon. interval: between their starts, s. The
-    floor of each is its error before.
+    before, after: errors of each segment's windows at each horizon. interval: between their starts, s. The floor of
+    each is its error before.
     """
     compared = {}
     for horizon, was in before.items():
         for i, quantity in enumerate(OPEN_LOOP_QUANTITIES):
             axes = slice(3 * i, 3 * i + 3)
             old, new = (
-                [np.sum(e[:, axes] ** 2, axis=1, keepdims=True) for e in part] for part in (was, after[horizon])
+                [np.sum(e, axis=1, keepdims=True) for e in errors.squares(axes)] for errors in (was, after[horizon])
             )
-            level = _norm(old)
+            level = _norm([e[:, axes] ** 2 for e in was.rows])
             if level > 0:
                 compared[horizon, quantity] = _change(old, new, np.array([level]), 1 / interval, limits)
     return compared

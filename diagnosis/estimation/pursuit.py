@@ -40,7 +40,7 @@ def pursue(regression: Regression, gust_variance: float) -> Pursued | None:
     limits, own, nuisances = regression.thresholds, regression.candidates, regression.nuisances
     last: Fit | None = None
     at, tried = Pursued(regression, ()), set[frozenset[str]]()
-    while last is None or last.chi_square > limits.search.explained:
+    while last is None or last.chi_square > regression.explained:
         here = at.regression.in_gust(gust_variance)
         best = _best_addition(here, at.candidates, last)
         counts = 1.0 if last is None else last.chi_square / limits.acceptance.max_redundant_ratio

@@ -53,6 +53,11 @@ class PoseErrors:
         density[channels.ATTITUDE_RATE] += squared * tilt
         return np.asarray(density)
 
+    def resembles(self, other: PoseErrors) -> bool:
+        """Whether the greatest slopes of both are alike."""
+        own, others = (0.0 if one.slopes is None else float(np.max(one.slopes)) for one in (self, other))
+        return max(own, others) <= self.thresholds.max_slope_change * min(own, others)
+
     def as_gust(self, corner: float) -> float:
         """Intensity, m/s, of a gust with this corner, Hz, that is as dense as the velocity's error at low frequencies.
 
@@ -77,6 +82,22 @@ def pose_errors(
     velocity = float(np.sqrt(np.mean([velocity_disagreement(s, thresholds) ** 2 for s in estimated])))
     squares = [_squared_slopes(segment, predictor, thresholds) for segment in segments[: thresholds.examples]]
     return PoseErrors(np.sqrt(np.mean(squares, axis=0)), velocity, thresholds)
+
+
+def with_velocity_errors(
+    segments: Sequence[Segment], random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose
+) -> list[Segment]:
+    """Segments with an error of velocity as large as their own added to it."""
+    return [replace(s, velocity=s.velocity + velocity_error(s, random, thresholds), without_noise=s) for s in segments]
+
+
+def certain_error(segment: Segment, random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose) -> Floats:
+    """(n, 3) a draw of the part of a segment's error of velocity that is taken off what it does to estimates, m/s.
+
+    Its size and times are known by about a half. What is taken off too little biases an estimate by less than its
+    deviation; what is taken off too much leaves nothing of columns that depend on the velocity, and makes up others.
+    """
+    return np.asarray(np.sqrt(thresholds.certain) * velocity_error(segment, random, thresholds))
 
 
 def velocity_error(segment: Segment, random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose) -> Floats:

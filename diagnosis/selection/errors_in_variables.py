@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import csd
 
 from diagnosis.data.segment import Segment
-from diagnosis.models.pose_errors import velocity_error
+from diagnosis.models.pose_errors import certain_error
 from diagnosis.selection.design_matrix import DesignMatrix
 from diagnosis.selection.noise import sensors_band, white_density
 from diagnosis.thresholds import DEFAULT, NoiseThresholds, PoseThresholds, Thresholds
@@ -66,7 +67,7 @@ def perturbed(
     turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(segment), 3))))
     velocity = noisier(segment.velocity, white_level(segment.velocity))
     if segment.pose_source == "estimator":
-        velocity = velocity + velocity_error(segment, random, pose)
+        velocity = velocity + certain_error(segment, random, pose)
     speed = segment.rotor_speed
     return replace(
         segment,
@@ -109,3 +110,25 @@ def inertial_levels(segments: Sequence[Segment], thresholds: NoiseThresholds = D
 
     gyros, forces = [s.gyro for s in segments], [s.specific_force for s in segments]
     return InertialLevels(level([x for x in gyros if x is not None]), level([x for x in forces if x is not None]))
+
+
+def gyro_noise_of_its_own(segments: Sequence[Segment], thresholds: NoiseThresholds = DEFAULT.noise) -> Floats | None:
+    """(3,) shares of the gyro's noise that the attitude lacks: 1 of motion capture's, less of an estimator's.
+
+    An attitude that is integrated from the gyro has its noise, so that both agree where no motion reaches. None where
+    there is no gyro or pose, or the logs are too slow for such frequencies.
+    """
+    rate, filters = segments[0].rate, segments[0].filters
+    low, high = sensors_band(rate, filters, thresholds)
+    long = [s for s in segments if s.gyro is not None and s.has_pose and len(s) >= thresholds.sensor_rows]
+    if not long or high < thresholds.min_sensor_band * low:
+        return None
+    common, own = np.zeros(3), np.zeros(3)
+    for segment in long:
+        assert segment.gyro is not None
+        frequency, cross = csd(segment.gyro, segment.rate_from_attitude, rate, nperseg=thresholds.sensor_rows, axis=0)
+        _, power = csd(segment.gyro, segment.gyro, rate, nperseg=thresholds.sensor_rows, axis=0)
+        inside = (frequency >= low) & (frequency <= high)
+        common += len(segment) * np.real(cross[inside]).sum(axis=0)
+        own += len(segment) * np.real(power[inside]).sum(axis=0)
+    return np.clip(1 - common / np.maximum(own, 1e-300), 0.0, 1.0)

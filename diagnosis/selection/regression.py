@@ -135,6 +135,15 @@ class Regression:
         return self.saturated[segment]
 
     @property
+    def explained(self) -> float:
+        """Reduced chi-square at which nothing is left to explain.
+
+        Of an estimator's pose, whose errors are known in size and time by about a half, that of a typical window.
+        """
+        limits = self.thresholds.search
+        return limits.still_explained if self.pose.there else limits.explained
+
+    @property
     def flights(self) -> range:
         """The flights by number."""
         return range(len(self.gram))
@@ -252,7 +261,11 @@ class Regression:
         )
 
     def gust_profile(self, chosen: Sequence[int], variances: Sequence[float], corner: int = 0) -> GustProfile:
-        """The likelihood of gusts of these variances beside the chosen columns. corner: as in `beside_gust`."""
+        """The likelihood of gusts of these variances beside the chosen columns. corner: as in `beside_gust`.
+
+        Without the correction for an estimator's error of velocity: a strong gust explains what is slow, error and
+        motion, and the correction leaves nothing of a drag's columns then, whose coefficients and gain have no limit.
+        """
         shared = replace(self.shared, columns=tuple(range(len(chosen), len(chosen) + len(self.shared.columns))))
         chosen, off = [*chosen, *self.shared.columns], list(self.biases.columns)
         own = [i for i in chosen if i not in off]
@@ -260,7 +273,8 @@ class Regression:
         biases = Biases(tuple(range(len(own), len(own) + len(off))), self.biases.information)
         gains, grams, products = [], [], []
         for one in self.equations:
-            gram, product = one.beside_gust(np.array(variances), [*own, *off], corner=corner)
+            corrected = not self.pose.there
+            gram, product = one.beside_gust(np.array(variances), [*own, *off], corner=corner, corrected=corrected)
             free, free_product = marginal(gram, product, biases)
             grams.append(free[np.ix_(range(len(variances)), alike, alike)])
             products.append(free_product[:, alike])

@@ -22,7 +22,7 @@ from diagnosis.models.pose_errors import PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
-from diagnosis.selection.errors_in_variables import design_errors, noisier_segments
+from diagnosis.selection.errors_in_variables import design_errors, gyro_noise_of_its_own, noisier_segments
 from diagnosis.selection.noise import NoiseModel, estimate_noise
 from diagnosis.selection.regression import FlightEquations, Regression, marginals, unzipped
 from diagnosis.selection.sensor_errors import Biases, sensor_biases
@@ -30,6 +30,10 @@ from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
+
+AddedErrors = tuple[
+    Floats, NDArray[np.floating]
+]  # (m, 12) and (m, 12, k) of a segment's rows and columns by added noise
 
 
 def make_regression(
@@ -48,7 +52,7 @@ def make_regression(
     noisier = noisier_segments(segments, thresholds)
     errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
     pose = pose_errors(segments, design.present, thresholds.pose)
-    noise, everything = _noise(segments, rows, columns, pose, thresholds)
+    noise, everything = _noise(segments, rows, columns, errors, pose, thresholds)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
     observations = [0] * len(equations)
     for flight, y in zip(flight_of, rows, strict=True):
@@ -96,7 +100,7 @@ def about_fit(
     if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in again):
         return None
     pose = pose_errors(r.segments, design.present, thresholds.pose)
-    noise, _ = _noise(r.segments, rows, columns, pose, thresholds)
+    noise, _ = _noise(r.segments, rows, columns, r.errors, pose, thresholds)
     equations = _equations(candidates, r.flight_of, noise, rows, columns, r.errors, r.rate, thresholds)
     biases = flight_biases(candidates, nuisances, thresholds.command_curve)
     return replace(
@@ -137,7 +141,7 @@ def _equations(
     noise: NoiseModel,
     rows: Sequence[Floats],
     columns: Sequence[Floats],
-    errors: Iterable[tuple[Floats, NDArray[np.floating]]],
+    errors: Iterable[AddedErrors],
     rate: float,
     thresholds: Thresholds,
 ) -> list[FlightEquations]:
@@ -175,13 +179,16 @@ def _noise(
     segments: Sequence[Segment],
     rows: Sequence[Floats],
     columns: Sequence[Floats],
+    errors: Sequence[AddedErrors],
     pose: PoseErrors,
     thresholds: Thresholds,
 ) -> tuple[NoiseModel, Floats]:
     """The noise, from the residuals after all columns at once, and the coefficients (k,) of these."""
     kinds = np.all([channels.present(s) for s in segments], axis=0)
     active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
-    everything = _everything(rows, columns, active, thresholds.regression.ridge)
+    scale = np.sqrt(np.mean(np.vstack(rows)[:, active] ** 2, axis=0)) + 1e-12
+    shared = _shared_noise(segments, errors, active, scale, thresholds)
+    everything = _everything(rows, columns, active, scale, shared, thresholds.regression.ridge)
     residuals = _residuals(rows, columns, everything)
     # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
     mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
@@ -192,15 +199,47 @@ def _residuals(rows: Sequence[Floats], columns: Sequence[Floats], theta: Floats)
     return [y - x @ theta for y, x in zip(rows, columns, strict=True)]
 
 
-def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:
-    """(k,) coefficients of a ridge regression on all columns, whose residuals are mostly noise."""
-    scale = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)) + 1e-12
+def _everything(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+    active: Sequence[int],
+    scale: Floats,
+    shared: Floats,
+    ridge: float,
+) -> Floats:
+    """(k,) coefficients of a ridge regression on all columns, whose residuals are mostly noise.
+
+    scale: (c,) of the active channels. shared: (k,) of the columns' products with the rows, what is noise of both.
+    """
     some = list(active)
-    x = np.vstack([(c[:, some] / scale[some, None]).reshape(-1, c.shape[2]) for c in columns])
-    y = np.concatenate([(r[:, some] / scale[some]).ravel() for r in rows])
+    x = np.vstack([(c[:, some] / scale[:, None]).reshape(-1, c.shape[2]) for c in columns])
+    y = np.concatenate([(r[:, some] / scale).ravel() for r in rows])
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
     x = x / size
-    return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
+    product = x.T @ y - shared / size
+    return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), product) / size)
+
+
+def _shared_noise(
+    segments: Sequence[Segment],
+    errors: Sequence[AddedErrors],
+    active: Sequence[int],
+    scale: Floats,
+    thresholds: Thresholds,
+) -> Floats:
+    """(k,) products of the gyro's noise in the attitude's rate and in the columns, over the channels' squared scale.
+
+    That channel is the gyro's reading less the attitude's derivative, and columns of its scale and of delays are made
+    of the same reading: its noise would explain itself, and what is left would seem too precise where it is densest.
+    """
+    total = np.zeros(errors[0][1].shape[2])
+    if (own := gyro_noise_of_its_own(segments, thresholds.noise)) is None:
+        return total
+    axes = [i for i in range(channels.ATTITUDE_RATE.start, channels.ATTITUDE_RATE.stop) if i in active]
+    weight = own / np.array([scale[list(active).index(i)] for i in axes]) ** 2
+    for y, x in errors:
+        total += np.einsum("mck,mc,c->k", x[:, axes], y[:, axes], weight)
+    return total
 
 
 def flight_biases(

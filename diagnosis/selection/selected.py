@@ -123,10 +123,10 @@ def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
 
     One as strong as the strongest that was tried stands in for a force that is none of the air.
     """
-    limits, of_gust = regression.thresholds.relevance, regression.thresholds.gust
+    limits = regression.thresholds.relevance
     surely = gust.intensity - limits.deviations * gust.std
     clear = surely > 0.0 and gust.share >= limits.min_agreement
-    air = of_gust.over_error * regression.pose.as_gust(gust.corner) < surely
+    air = _error_as_gust(gust, regression) < surely
     air &= not _is_strongest(gust, regression)
     return clear and air and gust.score >= max(_relevant(regression), min_score)
 
@@ -163,14 +163,21 @@ def _searched(
 
 
 def gust_variance(regression: Regression, chosen: Set) -> float:
-    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough, or is the strongest that is tried.
+    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough, or is the strongest that is tried,
+    or no denser than an estimator's error, which the noise has already.
 
-    That one stands in for a force that is none of the air: it leaves the forces nothing of slow motion, beside which a
-    drag that is there has impossible values.
+    The strongest stands in for a force that is none of the air: it leaves the forces nothing of slow motion, beside
+    which a drag that is there has impossible values.
     """
     gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
     none = gust.score < regression.thresholds.search.min_gain or _is_strongest(gust, regression)
+    none |= gust.intensity <= _error_as_gust(gust, regression)
     return 0.0 if none else gust.variance
+
+
+def _error_as_gust(gust: Gust, regression: Regression) -> float:
+    """Intensity, m/s, of a gust with the same corner that an estimator's error of velocity may be."""
+    return regression.thresholds.gust.over_error * regression.pose.as_gust(gust.corner)
 
 
 def _is_strongest(gust: Gust, regression: Regression) -> bool:

@@ -320,6 +320,13 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     a table is an estimator's. [tests/data/px4_sih_flights 0.997; tests/data/nanobench 0.26 to 0.40; simulated motion
     capture 0.13 and less]
     examples: segments on which the model's slope in the velocity is found. [margins: neither]
+    certain: share of their variance that is taken off normal equations. [formula: the least that
+    a size known by a half may be]
+    unsure: share of what the correction for these errors moves an estimate that is a deviation of it.
+    [benchmarks/verdicts.py, seeds below 964]
+    draws: of the error of velocity, whose share of held-out errors is their mean. [margins: neither]
+    max_slope_change: ratio of a fit's slope to that with which the noise was made, either way, above which it is made
+    again. [formula: 1.5 in the density of the error, as much as its time constants are unsure]
     """
 
     velocity_error: Positive = 0.2
@@ -329,3 +336,7 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     smooth_time: Positive = 0.3
     min_coherence: Share = 0.7
     examples: Count = 3
+    certain: Share = 0.5
+    unsure: Share = 0.5
+    draws: Count = 4
+    max_slope_change: Factor = 1.25

@@ -19,7 +19,7 @@ from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.held_out import HeldOut
-from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, total_change
+from diagnosis.estimation.paired_errors import ErrorChange, ModelErrors, channel_changes, total_change
 from diagnosis.estimation.refusal import Refused
 from diagnosis.estimation.revision import overshadowed_effects, with_small
 from diagnosis.selection.regression_of_flights import make_regression
@@ -46,8 +46,13 @@ def noise_rows(seed, count=2):
     return [random.standard_normal((400, CHANNELS)) for _ in range(count)]
 
 
+def compared_changes(before, after, of, floor=None):
+    level = np.ones(CHANNELS) if floor is None else floor
+    return channel_changes(ModelErrors(before), ModelErrors(after), level, 25.0, of.thresholds.relevance)
+
+
 def worse(before, after, of):
-    by_kind = channel_changes(before, after, np.ones(CHANNELS), 25.0, of.thresholds.relevance)
+    by_kind = compared_changes(before, after, of)
     return {kind for kind, change in by_kind.items() if change.is_worse()}
 
 
@@ -79,7 +84,7 @@ def test_a_force_that_the_accelerometer_does_not_show_is_contradicted(of_noise):
     def contradicted(shown: float) -> set[str]:
         before = [y + shown * f for y, f in zip(noise_rows(0), force, strict=True)]
         after = [y - f for y, f in zip(before, force, strict=True)]
-        compared = channel_changes(before, after, np.ones(CHANNELS), 25.0, limits)
+        compared = compared_changes(before, after, of_noise)
         return {kind for kind, change in compared.items() if change.is_contradicted(limits)}
 
     assert contradicted(1.0) == set()
@@ -93,7 +98,7 @@ def test_an_effect_on_one_axis_counts_as_much_as_one_on_all(of_noise):
     wave = 2.0 * np.sin(np.arange(400) / 20)[:, None] * floor
     about_z = wave * (np.arange(CHANNELS) == 8)
     one, every = (
-        channel_changes([y + more for y in after], after, floor, 25.0, limits)["angular"] for more in (about_z, wave)
+        compared_changes([y + more for y in after], after, of_noise, floor)["angular"] for more in (about_z, wave)
     )
     assert one.fall == pytest.approx(every.fall, rel=0.2)
     assert one.fall > limits.min_rise
@@ -107,21 +112,41 @@ def test_what_one_axis_gains_and_the_others_lose_is_a_loss_in_sum(of_noise):
     gains[2], loses[:2] = 0.7, 1.4
     after = [y * (1 - gains) + loses * np.sin(np.arange(400) / 20)[:, None] for y in before]
     limits = of_noise.thresholds.relevance
-    by_kind = channel_changes(before, after, np.ones(CHANNELS), 25.0, limits)
+    by_kind = compared_changes(before, after, of_noise)
     assert by_kind["imu"].fall > limits.min_rise
-    assert total_change(by_kind) > 0 > total_change(channel_changes(after, before, np.ones(CHANNELS), 25.0, limits))
+    assert total_change(by_kind) > 0 > total_change(compared_changes(after, before, of_noise))
+
+
+def test_what_errors_of_measured_states_make_of_a_model_is_no_error_of_the_model(of_noise):
+    """A model with the drag that is there is right, and feels an error of velocity that one without it does not."""
+    random, drag = np.random.default_rng(3), 0.5
+    velocity, error, drawn = (smooth(random, size) for size in (1.0, 1.5, 1.5))
+    without = [y - drag * velocity for y in noise_rows(0)]
+    right = [y + drag * error for y in noise_rows(0)]  # measured velocities are the true ones and the error
+    assert "imu" in worse(without, right, of_noise)
+    of_inputs = [[drag * drawn] * 2]
+    before, after = ModelErrors(without, [[0 * drawn] * 2]), ModelErrors(right, of_inputs)
+    compared = channel_changes(before, after, np.ones(CHANNELS), 25.0, of_noise.thresholds.relevance)
+    assert not any(change.is_worse() for change in compared.values())
+    fallen = -np.mean(compared["imu"].by_axis)  # the mean square of what the drag pushes, of unit velocity
+    assert fallen == pytest.approx(drag**2, abs=0.15)
+    assert compared["imu"].size == pytest.approx(drag * np.sqrt(3), rel=0.3)
+
+
+def smooth(random, size):
+    """(400, 12) slow motion that the accelerometer feels, m/s^2 in each axis."""
+    angle = np.arange(400)[:, None] / random.uniform(8, 20, CHANNELS) + random.uniform(0, 6, CHANNELS)
+    return size * np.sqrt(2) * np.sin(angle) * np.repeat([1.0, 0.0, 0.0, 0.0], 3)
 
 
 def test_what_else_is_missing_does_not_hide_a_change(of_noise):
     gust = [3 * np.sin(np.arange(400) / 30)[:, None] for _ in range(2)]
     before = [y + 0.5 * np.cos(np.arange(400))[:, None] for y in noise_rows(0)]
     clear, hidden = (
-        channel_changes(
+        compared_changes(
             [b + g for b, g in zip(before, more, strict=True)],
             [y + g for y, g in zip(noise_rows(0), more, strict=True)],
-            np.ones(CHANNELS),
-            25.0,
-            of_noise.thresholds.relevance,
+            of_noise,
         )["imu"]
         for more in ([0.0, 0.0], gust)
     )

@@ -24,7 +24,7 @@ def candidate(name, fitted=None):
 class Regression:
     def __init__(self, fitted=()):
         self.candidates = tuple(candidate(name, fitted=name if name in fitted else None) for name in SCORES)
-        self.nuisances, self.thresholds = (), DEFAULT
+        self.nuisances, self.thresholds, self.explained = (), DEFAULT, DEFAULT.search.explained
 
     def in_gust(self, variance):
         return self

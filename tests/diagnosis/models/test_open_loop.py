@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.segment import segments
-from diagnosis.estimation.paired_errors import open_loop_changes
+from diagnosis.estimation.paired_errors import ModelErrors, open_loop_changes
 from diagnosis.models.open_loop import open_loop_errors, open_loop_windows
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
@@ -28,5 +28,6 @@ def test_a_position_that_was_not_logged_has_no_error(without_position, arpl_250g
 
 def test_nothing_is_judged_by_a_position_that_was_not_logged(without_position, arpl_250g):
     windows = open_loop_windows(arpl_250g, CATALOGUE, without_position)
-    compared = open_loop_changes(windows, windows, 0.5, DEFAULT.relevance)
+    errors = {horizon: ModelErrors(parts) for horizon, parts in windows.items()}
+    compared = open_loop_changes(errors, errors, 0.5, DEFAULT.relevance)
     assert {quantity for _, quantity in compared} == {"velocity", "attitude", "rate"}

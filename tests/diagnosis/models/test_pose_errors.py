@@ -5,15 +5,22 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, welch
 
-from diagnosis.estimation.evaluation import typical_chi_square
+import alula
+from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.evaluation import residuals_in, typical_chi_square
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
+from fixtures.outside_cases import Campaign, write_campaign
+from fixtures.outside_cases import flown as flights_of
+from fixtures.outside_sensors import Recorder
 from tests.diagnosis.synthetic import CHANNELS, hovering, planted
 
 RATE = 25.0
@@ -123,3 +130,52 @@ def test_how_an_estimators_attitude_differs_from_the_gyro_tells_nothing_of_the_m
     rows = [y * np.where(np.arange(CHANNELS) >= 9, 3.0, 1.0) for y in captured.rows]
     assert typical_chi_square(rows, captured) > 2.0
     assert typical_chi_square(rows, estimated) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_model_with_more_drag_has_other_errors(arpl_250g):
+    (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=0)
+    estimated = dataclasses.replace(segment, pose_source="estimator")
+
+    def of_drag(coefficient):
+        use = EffectUse("linear_drag", {"coefficient": coefficient})
+        return pose_errors([estimated], Predictor(arpl_250g, [use], CATALOGUE, speed_measured=True))
+
+    assert of_drag(0.5).resembles(of_drag(0.55))
+    assert not of_drag(0.5).resembles(of_drag(1.0))
+    assert not of_drag(1.0).resembles(of_drag(0.5))
+
+
+@pytest.fixture(scope="module")
+def estimated_flights(tmp_path_factory):
+    """Slow flights of a vehicle of the outside simulator as PX4 logs them, with twice the drag of its file."""
+    folder = tmp_path_factory.mktemp("estimated")
+    alone = Campaign({}, {}, Recorder(250.0, commands=True, pose="estimator"), True, False, flights=9, seed=21)
+    hidden, declared = ({"linear_drag": {"coefficient": ratio * alone.frame.mass}} for ratio in (1.0, 0.5))
+    campaign = dataclasses.replace(alone, hidden=hidden, declared=declared)
+    (truths,) = flights_of([campaign])
+    write_campaign(campaign, truths, folder)
+    return folder, hidden["linear_drag"]["coefficient"]
+
+
+def test_a_gyros_noise_does_not_explain_itself_in_the_attitudes_rate(estimated_flights):
+    """Columns of its scale and its delays are made of it, and beside each other they would leave nothing of it."""
+    folder, _ = estimated_flights
+    vehicle = alula.load_vehicle(folder / "vehicle.toml")
+    dataset = make_dataset([alula.read_flight(log) for log in sorted(folder.glob("*.ulg"))], vehicle)
+    regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+    rows = residuals_in(regression, fit(regression, ()).vehicle, regression.segments)
+    rates = np.vstack([regression.noise.whiten(y) for y in rows])[:, 9:]
+    assert np.mean(rates**2, axis=0) == pytest.approx(np.ones(3), abs=0.5)  # 2 to 6 where it does
+    for axis in rates.T:  # as dense at the frequencies of noise as at those of motion
+        frequency, density = welch(axis, regression.rate, nperseg=128)
+        assert density[frequency > 5].max() * regression.rate / 2 < 4.0  # 8 to 16
+
+
+def test_a_drag_shows_through_an_estimators_error_of_velocity(estimated_flights):
+    folder, true = estimated_flights
+    diagnosis = alula.diagnose(sorted(map(str, folder.glob("*.ulg"))), str(folder / "vehicle.toml"))
+    (drag,) = diagnosis.report.effects
+    assert drag.name == "linear_drag"
+    value = drag.parameters["coefficient"]
+    assert value.value == pytest.approx(true, abs=2.5 * value.std)
+    assert value.std < 0.2 * true

@@ -91,7 +91,11 @@ def test_perturbing_adds_the_sensors_noise_and_nothing_else(arpl_250g):
 def test_an_estimators_velocity_errs_slowly_and_motion_captures_does_not(arpl_250g):
     (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=1, duration=600.0)
     limits = DEFAULT.pose
-    for source, level in (("motion_capture", 0.0), ("unknown", 0.0), ("estimator", limits.velocity_error)):
+    for source, level in (
+        ("motion_capture", 0.0),
+        ("unknown", 0.0),
+        ("estimator", np.sqrt(limits.certain) * limits.velocity_error),
+    ):
         posed = dataclasses.replace(segment, pose_source=source)
         error = noisier_segments([posed])[0].velocity - segment.velocity
         slow = error[: len(error) // 20 * 20].reshape(-1, 20, 3).mean(axis=1)
