@@ -131,7 +131,8 @@ _beyond: WeakKeyDictionary[Regression, list[tuple[Fit, Vehicle, Fit]]] = WeakKey
 
 def _slower_where_moved(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
     limits = regression.thresholds.equation_error
-    scaling = [candidate for candidate in fitted.candidates if scales_rotors(candidate) or shifts_rotors(candidate)]
+    # a few milliseconds are what turbulence makes of a lag; one that the file has not is more
+    scaling = [c for c in fitted.candidates if scales_rotors(c) or (shifts_rotors(c) and c.present is not None)]
     if not scaling:
         return fitted
     change, covariance = _change_by_cutoff(regression, fitted, vehicle, 1 / limits.slower)
