@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +25,7 @@ from diagnosis.estimation.evaluation import (
 )
 from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
+from diagnosis.estimation.paired_errors import differences
 from diagnosis.estimation.refusal import Refused, delay_in_words
 from diagnosis.estimation.revision import (
     drifting_effects,
@@ -287,18 +288,20 @@ class _Judgement:
         rejected = self._rejected(accepted, tests, after, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
-    def _erring_rows(self, accepted: Accepted, fitted: list[Floats]) -> ErringRows | None:
-        """The fitted segments with more of an estimator's errors. fitted: (m, 12) residuals without."""
+    def _erring_rows(self, accepted: Accepted, fitted: list[Floats]) -> Callable[[], list[ErringRows]] | None:
+        """Makes draws of the fitted segments with an estimator's errors. fitted: (m, 12) residuals without."""
         regression = self._regression
-        if not regression.pose.there:
-            return None
-        rows = residuals_in(regression, accepted.fit.vehicle, self._erring)
-        return ErringRows(self._erring, [more - y for more, y in zip(rows, fitted, strict=True)])
+
+        def added(segments: Sequence[Segment]) -> ErringRows:
+            rows = residuals_in(regression, accepted.fit.vehicle, segments)
+            return ErringRows(segments, differences(rows, fitted))
+
+        return (lambda: [added(segments) for segments in self._erring]) if regression.pose.there else None
 
     @cached_property
-    def _erring(self) -> list[Segment]:
-        limits = self._regression.thresholds.pose
-        return with_velocity_errors(self._dataset.fitted, np.random.default_rng(SEED), limits)
+    def _erring(self) -> list[list[Segment]]:
+        limits, random = self._regression.thresholds.pose, np.random.default_rng(SEED)
+        return [with_velocity_errors(self._dataset.fitted, random, limits) for _ in range(limits.draws)]
 
     def revised(self, accepted: Accepted) -> tuple[Accepted, _Judged]:
         """The effects that the residuals leave, those that mattered after all among them, and what is said of these."""

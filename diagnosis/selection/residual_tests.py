@@ -6,7 +6,7 @@ lines in the spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -96,13 +96,14 @@ def run_residual_tests(
     *,
     by_position: bool = False,
     gust: Floats | None = None,
-    erring: ErringRows | None = None,
+    erring: Callable[[], Sequence[ErringRows]] | None = None,
 ) -> ResidualTests:
     """Tests of residuals (m, 12) of the regression's segments.
 
     by_position: whether to test what repeats at the same positions, which a gust does not. gust: (12,) RMS that one has
     in each channel, which belongs to the floor with which findings but the line are compared: air has no line.
-    erring: the segments with more of an estimator's errors, where one made the pose.
+    erring: makes draws of the segments with more of an estimator's errors, where one made the pose; asked where the
+        state predicts more than it may.
     """
     floor = regression.noise.floor if gust is None else np.hypot(regression.noise.floor, gust)
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
@@ -117,10 +118,10 @@ def run_residual_tests(
         for x in (features, fine_in_velocity)
     ]
     best = max(tried, key=lambda one: one.gain)
-    by_chance_or_error = max(one.by_chance for one in tried)
-    if erring is not None and best.gain > by_chance_or_error:
-        by_chance_or_error += _explained_by_errors(regression, erring, thresholds)
-    predictable = max(best.gain - by_chance_or_error, 0.0)
+    predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
+    if erring is not None and predictable > regression.thresholds.verdict.max_predictable * total:
+        of_errors = max(_explained_by_errors(regression, one, thresholds) for one in erring())
+        predictable = max(predictable - of_errors, 0.0)
     findings = [_largest("predictable_from_state", best.parts, floor)]
     repeating = 0.0
     if by_position:
@@ -148,9 +149,9 @@ def run_residual_tests(
 
 @dataclass(frozen=True, eq=False)
 class ErringRows:
-    """Segments with more of an estimator's errors.
+    """Segments with a draw of an estimator's errors.
 
-    segments: with them. added: (m, 12) what they add to each one's residuals under the model that is tested.
+    segments: with it. added: (m, 12) what it adds to each one's residuals under the model that is tested.
     """
 
     segments: Sequence[Segment]

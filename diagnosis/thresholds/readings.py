@@ -324,7 +324,8 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     a size known by a half may be]
     unsure: share of what the correction for these errors moves an estimate that is a deviation of it.
     [benchmarks/verdicts.py, seeds below 964]
-    draws: of the error of velocity, whose share of held-out errors is their mean. [margins: neither]
+    draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
+    predicts of them. [margins: neither]
     max_slope_change: ratio of a fit's slope to that with which the noise was made, either way, above which it is made
     again. [formula: 1.5 in the density of the error, as much as its time constants are unsure]
     """

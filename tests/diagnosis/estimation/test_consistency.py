@@ -9,6 +9,7 @@ import pytest
 from diagnosis.estimation.consistency import drifts
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.significance import deviations_of
+from diagnosis.models.pose_errors import PoseErrors
 from diagnosis.thresholds import DEFAULT
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
 
@@ -96,3 +97,25 @@ def test_deviations_of_several_estimates_are_those_of_one_as_rare():
     assert deviations_of(np.array([2.0]), np.array([[1.0]])) == pytest.approx(2.0)
     assert deviations_of(np.array([2.448, 0.0]), np.eye(2)) == pytest.approx(1.96, abs=0.01)
     assert deviations_of(np.zeros(2), np.zeros((2, 2))) == 0.0
+
+
+def test_noise_of_the_measured_velocity_is_no_drift(arpl_250g):
+    """It shrinks a drag most where the vehicle is slow."""
+    of_all, _, _ = fitted(arpl_250g, lambda speed: 0.0 * speed, sizes=(1.0, 1.0, 4.0, 4.0))
+    random, columns, rows, errors = np.random.default_rng(5), [], [], []
+    for x, y in zip(of_all.columns, of_all.rows, strict=True):
+        noisy, drawn = x.copy(), np.zeros_like(x)
+        noise, another = random.standard_normal((2, *x.shape[:2])) * (np.arange(CHANNELS) % 3 == 0)
+        noisy[:, :, 0] += noise
+        drawn[:, :, 0] = another
+        columns.append(noisy)
+        rows.append(2.0 * x[:, :, 0] + y)
+        errors.append((np.zeros_like(y), drawn))
+    drag = candidate(effect("drag"), 0)
+    again = regression(arpl_250g, [drag, candidate(effect("other"), 1)], columns, rows, segments=of_all.segments)
+    fit = Fit(arpl_250g, {("drag", "size"): ParameterEstimate(2.0, 0.1, "1")}, (drag,))
+    left = [y - 2.0 * x[:, :, 0] for x, y in zip(columns, rows, strict=True)]
+    unaware = replace(again, errors=errors)
+    estimated = replace(unaware, pose=PoseErrors(np.ones(CHANNELS), 0.2))
+    assert drifts(unaware, fit, left)["drag"].matters()
+    assert not drifts(estimated, fit, left)["drag"].matters()

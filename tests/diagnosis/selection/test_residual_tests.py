@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from diagnosis.models.channels import POSE_ACCELERATION
 from diagnosis.models.pose_errors import PoseErrors
-from diagnosis.selection.residual_tests import low_frequency_agreement, run_residual_tests
+from diagnosis.selection.residual_tests import ErringRows, low_frequency_agreement, run_residual_tests
 from diagnosis.selection.spectral_line import line_by_chance, strongest_line
 from diagnosis.thresholds import DEFAULT
 from dynamics.state import VELOCITY
@@ -231,3 +231,28 @@ def test_an_estimators_slow_errors_resemble_some_function_of_the_state_by_chance
     for y, segment in zip(rows, flown, strict=True):  # what does depend on it is found beside them
         y[:, 0] += np.abs(segment.smooth[segment.decimated, VELOCITY][:, 0])
     assert "predictable_from_state" in fires(run_residual_tests(estimated, rows))
+
+
+def test_an_error_of_velocity_under_a_right_drag_is_no_function_of_the_state(arpl_250g):
+    """It is force to the model and in the measured velocity, which predicts it."""
+    drag, flown, rows = 2.5, [], []
+    draws = [ErringRows([], []) for _ in range(4)]
+    for i, still in enumerate(hovering(arpl_250g, mass_ratio=1.0, seed=0, count=7, duration=50.0)):
+        random = np.random.default_rng(70 + i)
+        true, error, *drawn = (
+            size * slow(random, still.velocity.shape, poles=(0.98, 0.98)) for size in (0.5, *(0.25,) * 5)
+        )
+        flown.append(dataclasses.replace(still, velocity=true + error))
+        rows.append(random.standard_normal((len(still.smooth[still.decimated]), CHANNELS)))
+        rows[-1][:, :3] += drag * error[still.decimated]
+        for draw, values in zip(draws, drawn, strict=True):
+            draw.segments.append(dataclasses.replace(still, velocity=true + error + values))
+            draw.added.append(np.hstack([drag * values[still.decimated], np.zeros((len(rows[-1]), CHANNELS - 3))]))
+    columns = [np.ones((len(y), CHANNELS, 1)) for y in rows]
+    of_all = regression(arpl_250g, [candidate(effect("a"), 0)], columns, rows, segments=tuple(flown), thresholds=FEW)
+    estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
+    assert "predictable_from_state" in fires(run_residual_tests(estimated, rows))
+    assert "predictable_from_state" not in fires(run_residual_tests(estimated, rows, erring=lambda: draws))
+    for y, segment in zip(rows, flown, strict=True):  # what does depend on it is found beside them
+        y[:, 0] += 8 * np.abs(segment.velocity[segment.decimated][:, 0])
+    assert "predictable_from_state" in fires(run_residual_tests(estimated, rows, erring=lambda: draws))
