@@ -108,7 +108,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--budget", type=float, default=float("inf"), help="seconds after which no case is begun")
     made.add_argument("--jobs", type=int, default=1, help="processes")
     made.add_argument("--fly-only", action="store_true", help="make the logs, answer nothing")
-    made.add_argument("--table", action="store_true", help="write results/verdicts.md")
+    made.add_argument("--table", action="store_true", help="write results/PAGE.md")
+    made.add_argument("--page", default="verdicts", help="its name")
     made.add_argument("--state", type=Path, help="write the table and the wrong answers to this file instead")
     return made
 
@@ -137,7 +138,7 @@ def main() -> None:
         options.state.write_text(f"{table(results)}\n\n{wrong_answers(results)}\n")
     elif options.table:
         write_result(
-            "verdicts", "The verdict on data that is not ours", f"{table(results)}\n\n{wrong_answers(results)}"
+            options.page, "The verdict on data that is not ours", f"{table(results)}\n\n{wrong_answers(results)}"
         )
 
 
