@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -23,6 +24,20 @@ from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
 SEED = 2  # of the errors of velocity, the same for all vehicles
+Made = TypeVar("Made")
+
+
+class _OfEach(Generic[Made]):
+    """What is made of each vehicle once."""
+
+    def __init__(self, make: Callable[[Vehicle], Made]) -> None:
+        self._make, self._made = make, dict[int, tuple[Vehicle, Made]]()
+
+    def of(self, vehicle: Vehicle) -> Made:
+        """That of a vehicle."""
+        if id(vehicle) not in self._made:
+            self._made[id(vehicle)] = (vehicle, self._make(vehicle))
+        return self._made[id(vehicle)][1]
 
 
 class HeldOut:
@@ -36,39 +51,37 @@ class HeldOut:
         self.segments = segments
         self._regression, self._limits = regression, regression.thresholds.relevance
         self._saturated_floor = saturated_floor(regression, segments)
-        self._rows: dict[int, tuple[Vehicle, list[Floats]]] = {}
-        self._windows: dict[int, tuple[Vehicle, dict[float, list[Floats]]]] = {}
-        self._row_errors: dict[int, tuple[Vehicle, ModelErrors]] = {}
-        self._window_errors: dict[int, tuple[Vehicle, dict[float, ModelErrors]]] = {}
+        self._rows = _OfEach(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
+        self._windows = _OfEach(lambda vehicle: self._simulated(vehicle, self.segments))
+        self._row_errors, self._window_errors = _OfEach(self._rows_and_pose), _OfEach(self._windows_and_pose)
 
     def rows(self, vehicle: Vehicle) -> list[Floats]:
         """(m, 12) residuals of each segment."""
-        if id(vehicle) not in self._rows:
-            self._rows[id(vehicle)] = (vehicle, residuals_in(self._regression, vehicle, self.segments))
-        return self._rows[id(vehicle)][1]
+        return self._rows.of(vehicle)
 
     def floor(self, vehicle: Vehicle) -> Floats:
         """(12,) noise floor: of the residuals after all columns of the catalogue, or of the vehicle where lower."""
         return np.minimum(self._saturated_floor, residual_floor(self._regression, self.rows(vehicle)))
 
-    def channel_changes(self, before: Vehicle, after: Vehicle, floor: Floats) -> dict[str, ErrorChange]:
-        """By kind of channel. floor: (12,) with which the changes are compared.
+    def channel_changes(
+        self, before: Vehicle, after: Vehicle, floor: Floats, *, measured: bool = False
+    ) -> dict[str, ErrorChange]:
+        """By kind of channel. floor: (12,) with which the changes are compared. measured: with the pose's errors.
 
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
-        was, now = (self._rows_and_pose(vehicle) for vehicle in (before, after))
+        was, now = map(self._row_errors.of, (before, after))
+        if measured:
+            was, now = ModelErrors(was.rows), ModelErrors(now.rows)
         if (skipped := self._skipped(before, after)) > 0:
             was, now = was.after(skipped), now.after(skipped)
         return channel_changes(was, now, floor, self._regression.rate, self._limits)
 
     def _rows_and_pose(self, vehicle: Vehicle) -> ModelErrors:
         """Residuals, and what errors of the pose's velocity make of them."""
-        if id(vehicle) not in self._row_errors:
-            rows, r = self.rows(vehicle), self._regression
-            drawn = [differences(residuals_in(r, vehicle, segments), rows) for segments in self._erring]
-            self._row_errors[id(vehicle)] = (vehicle, ModelErrors(rows, drawn))
-        return self._row_errors[id(vehicle)][1]
+        rows, r = self.rows(vehicle), self._regression
+        return ModelErrors(rows, [differences(residuals_in(r, vehicle, one), rows) for one in self._erring])
 
     @cached_property
     def _erring(self) -> list[list[Segment]]:
@@ -87,23 +100,25 @@ class HeldOut:
             return 0
         return round(limits.free_start_durations[-1] * self._regression.rate)
 
-    def open_loop_changes(self, before: Vehicle, after: Vehicle) -> dict[tuple[float, str], ErrorChange]:
-        """By horizon, s, and quantity; empty without a pose.
+    def open_loop_changes(
+        self, before: Vehicle, after: Vehicle, *, measured: bool = False
+    ) -> dict[tuple[float, str], ErrorChange]:
+        """By horizon, s, and quantity; empty without a pose. measured: with the pose's errors.
 
         Without the position where an estimator makes the pose: after a second its error is that of the velocity at the
         start, to which the commands respond, so that a model whose rotors turn the vehicle too much comes closer.
         """
         interval = self._regression.thresholds.prediction.start_interval
-        was, now = self._windows_and_pose(before), self._windows_and_pose(after)
+        was, now = map(self._window_errors.of, (before, after))
+        if measured:
+            was, now = ({h: ModelErrors(of.rows) for h, of in errors.items()} for errors in (was, now))
         compared = open_loop_changes(was, now, interval, self._limits)
         estimated = any(segment.pose_source == "estimator" for segment in self.segments)
         return {place: c for place, c in compared.items() if not (estimated and place[1] == "position")}
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
-        if id(vehicle) not in self._windows:
-            self._windows[id(vehicle)] = (vehicle, self._simulated(vehicle, self.segments))
-        return self._windows[id(vehicle)][1]
+        return self._windows.of(vehicle)
 
     def _simulated(self, vehicle: Vehicle, segments: Sequence[Segment]) -> dict[float, list[Floats]]:
         regression = self._regression
@@ -111,24 +126,22 @@ class HeldOut:
 
     def _windows_and_pose(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
         """Errors of windows, by horizon, and what errors of the pose's velocity make of them."""
-        if id(vehicle) not in self._window_errors:
-            windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, s) for s in self._erring]
-            errors = {h: ModelErrors(own, [differences(d[h], own) for d in drawn]) for h, own in windows.items()}
-            self._window_errors[id(vehicle)] = (vehicle, errors)
-        return self._window_errors[id(vehicle)][1]
+        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._erring]
+        return {h: ModelErrors(own, [differences(draw[h], own) for draw in drawn]) for h, own in windows.items()}
 
     def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
         """Errors that rise from one vehicle to another by what matters and by more than chance, by name."""
         return self.worse_channels(before, after) | self.worse_open_loop(before, after)
 
     def larger(self, vehicle: Vehicle, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """Errors that are larger by what matters, be it chance, by name: of channels and of the open loop.
+        """Errors that are larger by what matters, be it chance, by name: of channels and of the open loop, as measured.
 
         before: the vehicle with the sensors' faults of the other, for the open loop, whose motion these do not change.
         """
         ratio = 1.0 + self._limits.max_rise
-        errors = self.channel_changes(vehicle, after, self.floor(after))
-        errors |= {f"{q} after {h:g} s": c for (h, q), c in self.open_loop_changes(before, after).items()}
+        errors = self.channel_changes(vehicle, after, self.floor(after), measured=True)
+        by_place = self.open_loop_changes(before, after, measured=True)
+        errors |= {f"{q} after {h:g} s": change for (h, q), change in by_place.items()}
         return {name: change for name, change in errors.items() if change.after > ratio * change.before}
 
     def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:

@@ -64,7 +64,7 @@ class ResidualTests:
     predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
         velocity, gains on flights left out, over the number of whitened residuals, beyond a controller's answer to
         turbulence and what turbulence makes of the state a moment later; beside an estimator's slow errors, less what
-        the state gains at most in residuals from elsewhere, with which it has nothing to do.
+        the state gains at most in residuals from elsewhere, with which it has nothing to do, and of its own errors.
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -108,14 +108,12 @@ def run_residual_tests(
     floor = regression.noise.floor if gust is None else np.hypot(regression.noise.floor, gust)
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
     states = [_state(s) for s in regression.segments]
-    features = _features(states, thresholds.state_fineness, thresholds.features)
-    fine_in_velocity = _features([x[:, :AXES] for x in states], thresholds.velocity_fineness, thresholds.features)
     chances = thresholds.chances if regression.pose.there else 0
     by_state = _without_feedback(regression, rows)
     elsewhere = [_rolled(by_state, n / (chances + 1)) for n in range(1, chances + 1)]
     tried = [
         _beyond_answers(regression, x, by_state, _predictable(regression, x, by_state, regression.flight_of, elsewhere))
-        for x in (features, fine_in_velocity)
+        for x in _features_of_state(states, thresholds)
     ]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
@@ -164,16 +162,8 @@ def _explained_by_errors(regression: Regression, erring: ErringRows, thresholds:
     To a drag an error of velocity is force, which the measured velocity predicts as far as it is that error.
     """
     states = [_state(segment) for segment in erring.segments]
-    finenesses = ((None, thresholds.state_fineness), (AXES, thresholds.velocity_fineness))
-    return max(
-        _predictable(
-            regression,
-            _features([x[:, :width] for x in states], fineness, thresholds.features),
-            erring.added,
-            regression.flight_of,
-        ).gain
-        for width, fineness in finenesses
-    )
+    tried = _features_of_state(states, thresholds)
+    return max(_predictable(regression, x, erring.added, regression.flight_of).gain for x in tried)
 
 
 def _slow_agreement(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> float:
@@ -240,12 +230,8 @@ def _slow_force(
     slow, middle = ([_band(r, rate, band) for r in rows] for band in (low, reference))
     share = (low[1] - low[0]) / (reference[1] - reference[0])
     frequency = np.linspace(*low, thresholds.line_rows)
-    allowed = (
-        2
-        * (1 + regression.pose.thresholds.unsure)
-        * regression.pose.density(frequency).mean(axis=1)
-        * (low[1] - low[0])
-    )
+    density = (1 + regression.pose.thresholds.unsure) * regression.pose.density(frequency).mean(axis=1)
+    allowed = 2 * density * (low[1] - low[0])
     parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}
     for axis in range(AXES):
         force, pose, torque = (part.start + axis for part in (SPECIFIC_FORCE, POSE_ACCELERATION, ANGULAR_ACCELERATION))
@@ -295,6 +281,15 @@ def _joined(halves: Sequence[Floats]) -> tuple[Floats, ...]:
 
 def _inside(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArray[np.bool_]:
     return np.asarray((frequency > band[0]) & (frequency < band[1]))
+
+
+def _features_of_state(states: Sequence[Floats], thresholds: ResidualTestThresholds) -> tuple[list[Floats], ...]:
+    """Features of states (m, k), and finer ones of the velocity, which comes first in them."""
+    velocities = [x[:, :AXES] for x in states]
+    return (
+        _features(states, thresholds.state_fineness, thresholds.features),
+        _features(velocities, thresholds.velocity_fineness, thresholds.features),
+    )
 
 
 def _features(states: Sequence[Floats], fineness: float, count: int) -> list[Floats]:

@@ -75,8 +75,8 @@ def test_what_is_larger_by_what_matters_is_not_written_be_it_chance(
     windy = arpl_250g.with_effects(EffectUse("wind", {"x": 1.5, "y": 0.0, "z": 0.0}))
     data, compare = make_dataset(plain_flights, windy), HeldOut.channel_changes
 
-    def grown(judge, before, after, floor):
-        by_kind = compare(judge, before, after, floor)
+    def grown(judge, before, after, floor, **more):
+        by_kind = compare(judge, before, after, floor, **more)
         error = by_kind["angular"]
         return {**by_kind, "angular": dataclasses.replace(error, after=growth * error.before, deviations=0.5)}
 

@@ -11,6 +11,7 @@ import alula
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in, typical_chi_square
+from diagnosis.estimation.held_out import HeldOut
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
@@ -157,12 +158,37 @@ def estimated_flights(tmp_path_factory):
     return folder, hidden["linear_drag"]["coefficient"]
 
 
+def test_held_out_errors_are_judged_without_the_poses_and_larger_as_measured(estimated_flights):
+    """A vehicle file that flies is not to have a larger error, whatever makes it."""
+    folder, true = estimated_flights
+    vehicle, dataset, regression = regression_of(folder)
+    judge = HeldOut(regression, dataset.held_out)
+    right, none = (
+        msgspec.structs.replace(vehicle, effects=(*others, *drag))
+        for others in [tuple(use for use in vehicle.effects if use.name != "linear_drag")]
+        for drag in ((EffectUse("linear_drag", {"coefficient": true}),), ())
+    )
+    floor = judge.floor(right)
+    corrected = judge.channel_changes(none, right, floor)["imu"]
+    measured = judge.channel_changes(none, right, floor, measured=True)["imu"]
+    rows = np.vstack(judge.rows(right))[:, :3]
+    assert measured.after == pytest.approx(np.sqrt(np.mean(np.sum(rows**2, axis=1))))
+    assert corrected.after < 0.98 * measured.after
+    assert corrected.before == pytest.approx(measured.before, rel=0.01)  # without a drag it is no force
+    assert "imu" in judge.larger(right, right, none)
+
+
+def regression_of(folder):
+    """The vehicle, the data set and the regression of a folder's flights."""
+    vehicle = alula.load_vehicle(folder / "vehicle.toml")
+    dataset = make_dataset([alula.read_flight(log) for log in sorted(folder.glob("*.ulg"))], vehicle)
+    return vehicle, dataset, make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+
+
 def test_a_gyros_noise_does_not_explain_itself_in_the_attitudes_rate(estimated_flights):
     """Columns of its scale and its delays are made of it, and beside each other they would leave nothing of it."""
     folder, _ = estimated_flights
-    vehicle = alula.load_vehicle(folder / "vehicle.toml")
-    dataset = make_dataset([alula.read_flight(log) for log in sorted(folder.glob("*.ulg"))], vehicle)
-    regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+    _, _, regression = regression_of(folder)
     rows = residuals_in(regression, fit(regression, ()).vehicle, regression.segments)
     rates = np.vstack([regression.noise.whiten(y) for y in rows])[:, 9:]
     assert np.mean(rates**2, axis=0) == pytest.approx(np.ones(3), abs=0.5)  # 2 to 6 where it does
