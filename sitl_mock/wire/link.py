@@ -13,6 +13,7 @@ from sitl_mock.wire.streams import Role, Streams, loop_delay
 
 GCS_TYPE = 6
 GCS_TIMEOUT = 2.5  # s, PX4's HEARTBEAT_TIMEOUT
+MARKERS = (0xFD, 0xFE)  # first bytes of a frame of MAVLink 2 and of MAVLink 1
 MAX_PARSERS = 32
 MAX_QUEUE = 20_000
 
@@ -40,6 +41,30 @@ class _Queued:
     number: int
     message: Message = field(compare=False)
     frame: bytes | None = field(compare=False, default=None)
+
+
+def _parsed(parser: Message, data: bytes) -> list[Message]:
+    """All that a parser makes of bytes; after a false start it goes on at the byte behind its marker.
+
+    pymavlink goes on behind all that the false start claims. That loses good frames, and it may do so for ever: the
+    number of a command (510 is 0x01FE) holds a marker too, so that every next command is cut in two as well.
+    """
+    parsed = []
+    message = parser.parse_char(data)
+    while message is not None:
+        rest = parser.buf[parser.buf_index :]
+        if _is_false_start(message, rest):
+            parser.buf, parser.buf_index = message.get_msgbuf()[1:] + rest, 0
+        parsed.append(message)
+        message = parser.parse_char(b"")
+    return parsed
+
+
+def _is_false_start(message: Message, rest: bytearray) -> bool:
+    """Whether bytes with a marker are no frame: its checksum is wrong, or cannot be checked and no frame follows."""
+    if message.get_type() == "BAD_DATA":
+        return message.get_msgbuf()[0] in MARKERS
+    return "UNKNOWN" in message.get_type() and len(rest) > 0 and rest[0] not in MARKERS
 
 
 class Link:
@@ -76,7 +101,7 @@ class Link:
             parser = self._parsers[peer] = mavlink.MAVLink(None)
             parser.robust_parsing = True
         try:
-            parsed = parser.parse_buffer(data) or []
+            parsed = _parsed(parser, data)
         except Exception:  # pymavlink documents no exception and may raise any on hostile bytes; none may stop a link
             self._parsers.pop(peer, None)
             self.bad_frames += 1

@@ -14,6 +14,7 @@ from tests.support.bench import ARM, Bench
 
 PACKER = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 GOOD = mavlink.MAVLink_command_long_message(1, 1, ARM, 0, 1, 0, 0, 0, 0, 0, 0).pack(PACKER)
+GET_INTERVAL = mavlink.MAVLink_command_long_message(1, 1, 510, 0, 331, 0, 0, 0, 0, 0, 0)
 CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 HANDLED = [CLASSES[name] for name in sorted(HANDLERS)]
 
@@ -62,6 +63,22 @@ def test_a_good_frame_after_noise_from_the_same_peer_is_understood() -> None:
     bench.mock.receive(bench.link, "noisy", b"\x00\x13 not mavlink \xff")
     bench.mock.receive(bench.link, "noisy", GOOD)
     assert bench.mock.commander.armed
+
+
+def test_no_frame_is_lost_behind_the_claim_of_half_a_frame() -> None:
+    """510 is 0x01FE, which holds the marker of MAVLink 1: each such command looks like the start of another frame."""
+    bench = Bench()
+    bench.mock.receive(bench.link, "noisy", bytes([0xFD, 255, 0, 0, 0, 1, 191]))
+    for _ in range(10):
+        bench.mock.receive(bench.link, "noisy", bytes(GET_INTERVAL.pack(PACKER)))
+    bench.run(0.05)
+    assert len(bench.of("COMMAND_ACK")) == 10
+
+
+def test_a_datagram_of_nothing_but_markers_is_survived() -> None:
+    bench = Bench()
+    bench.mock.receive(bench.link, "noisy", b"\xfd\x00" * 30_000)
+    assert still_alive(bench)
 
 
 def test_mavlink_1_and_signed_frames_are_understood_as_by_px4_without_signing() -> None:
