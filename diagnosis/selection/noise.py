@@ -83,12 +83,15 @@ def estimate_noise(
     *,
     mixed: bool = True,
     pose: PoseErrors = NO_ERRORS,
+    beyond_feedback: Sequence[Floats] = (),
     thresholds: NoiseThresholds = DEFAULT.noise,
 ) -> NoiseModel:
     """The noise of residuals (m, 12) that hold as little of missing effects as possible. rate: Hz.
 
     mixed: whether correlation between channels is noise, and whitened.
     pose: slow errors that are noise as well.
+    beyond_feedback: residuals that a controller's answer to turbulence has explained nothing of; of each torque the
+        larger of both spectra counts.
     """
     if pose.there:
         order, spectrum_rows = thresholds.slow_order, thresholds.slow_spectrum_rows
@@ -97,11 +100,12 @@ def estimate_noise(
     start = thresholds.reference_band[0]
     fast_share = 1 - start / (rate / 2)
     for channel in active:
-        columns = [r[:, channel] for r in residuals]
-        a, variance = _capped_ar(columns, rate, channel, pose, thresholds)
-        innovations = [_above(lfilter(a, [1.0], x)[thresholds.order :], rate, start) for x in columns]
+        sets = [residuals, beyond_feedback] if beyond_feedback and channel in TORQUES else [residuals]
+        parts = [[r[:, channel] for r in one] for one in sets]
+        a, variance = _capped_ar(parts, rate, channel, pose, thresholds)
+        innovations = [[_above(lfilter(a, [1.0], x)[thresholds.order :], rate, start) for x in one] for one in parts]
         filters.append(a)
-        levels.append(np.sqrt(np.mean(np.concatenate(innovations) ** 2) / fast_share))
+        levels.append(np.sqrt(max(np.mean(np.concatenate(one) ** 2) for one in innovations) / fast_share))
         floor[channel] = np.sqrt(variance)
     unmixed = NoiseModel(tuple(active), np.array(filters), np.array(levels), np.eye(len(active)), floor)
     if pose.there:
@@ -220,11 +224,12 @@ def _low_pass_gain(rate: float, cutoff: float, frequency: Floats) -> Floats:
 
 
 def _capped_ar(
-    columns: Sequence[Floats], rate: float, channel: int, pose: PoseErrors, thresholds: NoiseThresholds
+    parts: Sequence[Sequence[Floats]], rate: float, channel: int, pose: PoseErrors, thresholds: NoiseThresholds
 ) -> tuple[Floats, float]:
-    """Coefficients (1, -a1, .., -an) from the capped spectrum, and the variance under it."""
+    """Coefficients (1, -a1, .., -an) from the capped spectrum, of parts the largest, and the variance under it."""
     order, (start, stop) = thresholds.order, thresholds.reference_band
-    frequency, spectrum = _spectrum(columns, rate, thresholds.spectrum_rows)
+    spectra = [_spectrum(columns, rate, thresholds.spectrum_rows) for columns in parts]
+    frequency, spectrum = spectra[0][0], np.max([power for _, power in spectra], axis=0)
     size = np.abs(frequency)
     reference = spectrum[(size >= start) & (size <= stop)].mean()
     limit = reference + pose.density(frequency)[channel]

@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.command_effects import (
@@ -52,7 +53,7 @@ def make_regression(
     noisier = noisier_segments(segments, thresholds)
     errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
     pose = pose_errors(segments, design.present, thresholds.pose)
-    noise, everything = _noise(segments, rows, columns, errors, pose, thresholds)
+    noise, everything = _noise(segments, rows, columns, errors, pose, _is_lagged(design), thresholds)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
     observations = [0] * len(equations)
     for flight, y in zip(flight_of, rows, strict=True):
@@ -90,8 +91,8 @@ def about_fit(
 ) -> Regression | None:
     """The regression about a fit of some candidates, which hold its values; None where that cannot be followed.
 
-    Made again are the rows, and the columns of what the fit holds, of air and of what shares a model with them. Other
-    columns change by as little as those effects change the vehicle, and so do the errors in variables.
+    Made again are the rows and the columns of what the fit holds, of air and of what shares a model with them, and the
+    errors of both. Other columns change by as little as those effects change the vehicle.
     """
     r, thresholds = regression, regression.thresholds
     design = DesignMatrix(r.vehicle, r.catalogue, (*candidates, *nuisances), r.segments[0], thresholds.prediction)
@@ -99,9 +100,13 @@ def about_fit(
     rows, columns = unzipped(again)
     if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in again):
         return None
+    errors = []
+    for segment, y, x, (_, x_error) in zip(r.noisier, rows, columns, r.errors, strict=True):
+        noisier_y, noisier_x = design.again(segment, x + x_error)
+        errors.append((noisier_y - y, (noisier_x - x).astype(np.float32)))
     pose = pose_errors(r.segments, design.present, thresholds.pose)
-    noise, _ = _noise(r.segments, rows, columns, r.errors, pose, thresholds)
-    equations = _equations(candidates, r.flight_of, noise, rows, columns, r.errors, r.rate, thresholds)
+    noise, _ = _noise(r.segments, rows, columns, errors, pose, _is_lagged(design), thresholds)
+    equations = _equations(candidates, r.flight_of, noise, rows, columns, errors, r.rate, thresholds)
     biases = flight_biases(candidates, nuisances, thresholds.command_curve)
     return replace(
         r,
@@ -111,6 +116,7 @@ def about_fit(
         pose=pose,
         rows=rows,
         columns=columns,
+        errors=errors,
         **_still_air(equations, biases),
         biases=biases,
         shared=shared_unknowns(nuisances, thresholds.command_curve),
@@ -181,22 +187,65 @@ def _noise(
     columns: Sequence[Floats],
     errors: Sequence[AddedErrors],
     pose: PoseErrors,
+    lagged: bool,
     thresholds: Thresholds,
 ) -> tuple[NoiseModel, Floats]:
-    """The noise, from the residuals after all columns at once, and the coefficients (k,) of these."""
+    """The noise, from the residuals after all columns at once, and the coefficients (k,) of these.
+
+    lagged: whether the present model has the rotors' lag, of which slow motion says nothing.
+    """
     kinds = np.all([channels.present(s) for s in segments], axis=0)
     active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
     scale = np.sqrt(np.mean(np.vstack(rows)[:, active] ** 2, axis=0)) + 1e-12
     shared = _shared_noise(segments, errors, active, scale, thresholds)
     everything = _everything(rows, columns, active, scale, shared, thresholds.regression.ridge)
     residuals = _residuals(rows, columns, everything)
+    answered = lagged and pose.there and segments[0].rotor_source == "command"
+    beyond = _beyond_feedback(segments, rows, columns, active, scale, thresholds) if answered else ()
     # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
-    mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
-    return estimate_noise(residuals, rate, active, mixed=mixed, pose=pose, thresholds=thresholds.noise), everything
+    mixed = segments[0].rotor_source != "command"
+    noise = estimate_noise(
+        residuals,
+        segments[0].decimated_rate,
+        active,
+        mixed=mixed,
+        pose=pose,
+        beyond_feedback=beyond,
+        thresholds=thresholds.noise,
+    )
+    return noise, everything
+
+
+def _is_lagged(design: DesignMatrix) -> bool:
+    """Whether the rotors' speeds are hidden states of the present model."""
+    return bool(design.present.model.rotor_speed_places)
 
 
 def _residuals(rows: Sequence[Floats], columns: Sequence[Floats], theta: Floats) -> list[Floats]:
     return [y - x @ theta for y, x in zip(rows, columns, strict=True)]
+
+
+def _beyond_feedback(
+    segments: Sequence[Segment],
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+    active: Sequence[int],
+    scale: Floats,
+    thresholds: Thresholds,
+) -> list[Floats]:
+    """Residuals (m, 12) after a ridge regression on all columns of slow motion alone.
+
+    The controller answers turbulence, and columns of its commands, of several lags behind them, explain a torque of
+    turbulence by that answer: of its power below 3 Hz they leave a fifth to a twentieth. Slow motion has little of it.
+    """
+
+    def slow_motion(values: Sequence[Floats]) -> list[Floats]:
+        cutoff = segments[0].filters.command_cutoff
+        return [slow(x, s.decimated_rate, cutoff) for s, x in zip(segments, values, strict=True)]
+
+    ridge, none = thresholds.regression.slow_ridge, np.zeros(columns[0].shape[2])
+    theta = _everything(slow_motion(rows), slow_motion(columns), active, scale, none, ridge)
+    return _residuals(rows, columns, theta)
 
 
 def _everything(

@@ -13,11 +13,13 @@ class RegressionThresholds(ThresholdGroup, frozen=True):
     """Normal equations of all candidates.
 
     ridge: on all columns at once, over the number of rows. [margins: neither]
+    slow_ridge: the same of slow motion. [decisions: noise of torques]
     max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [convention: 99 %]
     independent_share: of the whitened residuals, in the criterion's penalty. [margins: neither]
     """
 
     ridge: Positive = 1e-6
+    slow_ridge: Positive = 1e-4
     max_bias: Positive = 2.5
     independent_share: Annotated[float, Meta(gt=0, le=1)] = 0.25
 

@@ -62,6 +62,20 @@ def test_a_slow_swing_is_not_whitened_away():
     assert np.std(swung.whiten(swinging(rows[0]))) > 1.5
 
 
+def test_of_a_torque_the_larger_of_both_spectra_is_noise_and_a_force_has_its_own():
+    random = np.random.default_rng(2)
+    noise = [random.standard_normal((4000, 12)) for _ in range(3)]
+    explained = [n - zero_phase(n, RATE, 3.0) for n in noise]  # as by a controller's answer
+    forces, torques = range(6), range(6, 9)
+    alone = estimate_noise(explained, RATE, range(12)).whiten(noise[0]).std(axis=0)
+    both = estimate_noise(explained, RATE, range(12), beyond_feedback=noise).whiten(noise[0]).std(axis=0)
+    assert (alone > 1.5).all()
+    np.testing.assert_allclose(both[torques], 1.0, rtol=0.15)
+    assert (both[forces] > 1.5).all()
+    louder = estimate_noise(noise, RATE, range(12), beyond_feedback=explained).whiten(noise[0]).std(axis=0)
+    np.testing.assert_allclose(louder, 1.0, rtol=0.05)
+
+
 def test_the_floor_counts_noise_and_not_slow_missing_effects():
     random = np.random.default_rng(0)
     noise = [random.standard_normal((600, 12)) for _ in range(3)]

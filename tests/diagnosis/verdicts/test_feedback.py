@@ -6,6 +6,7 @@ import pytest
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import beyond_feedback, fit
+from diagnosis.estimation.pursuit import about
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
@@ -27,6 +28,35 @@ def test_the_answer_to_turbulence_is_not_named(tmp_path):
     diagnosis = diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
     assert diagnosis.verdict == "explained"
     assert "inertia" in [one.name for one in diagnosis.refused]
+
+
+def logged_by_px4(folder, hidden, drag, damping, seed):
+    """Slow flights of the outside simulator as PX4 logs them, and their vehicle. drag, damping: of its file."""
+    declared = {"linear_drag": {"coefficient": drag}, "rotational_damping": {"coefficient": damping}}
+    recorder = Recorder(250.0, commands=True, pose="estimator")
+    campaign = Campaign(hidden, declared, recorder, lag_declared=True, fast=False, flights=9, seed=seed)
+    (truths,) = flown([campaign])
+    write_campaign(campaign, truths, folder)
+    vehicle = read_vehicle(folder / "vehicle.toml")
+    return read_dataset(sorted(folder.glob("*.ulg")), vehicle), vehicle
+
+
+def test_turbulence_that_commands_explain_by_the_answer_to_it_is_noise(tmp_path):
+    """All columns together leave a twentieth of this vehicle's torques below 1.5 Hz; nothing is missing in the rest."""
+    dataset, vehicle = logged_by_px4(tmp_path, {}, 0.0659, 3.57e-5, 1763380004)
+    diagnosis = diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
+    assert (diagnosis.verdict, diagnosis.leftover) == ("explained", ())
+
+
+def test_noise_about_a_fit_is_that_of_the_regression(tmp_path):
+    """About a delay's fit the errors of its column are that delay's: another one's made forces 30 times as noisy."""
+    hidden = {"thrust_constant": {"ratio": 0.9666}}
+    dataset, vehicle = logged_by_px4(tmp_path, hidden, 0.14617, 2.1833e-4, 1126209292)
+    regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+    delay = next(c for c in regression.candidates if c.key == "time_delay" and c.at["delay"] == 0.015)
+    again = about(regression, regression.candidates, regression.nuisances, fit(regression, [delay]))
+    assert again is not None
+    np.testing.assert_allclose(again.noise.level, regression.noise.level, rtol=0.3)
 
 
 def logged_without(vehicle, seed, quantities, uses=()):
