@@ -31,6 +31,8 @@ _MAX_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 
 _MAX_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
 _MIN_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _MIN_SPEED = 0.15  # m/s rms
+_CLEAR_SPEED = 0.35  # m/s rms along an axis, beyond what an estimator's errors (0.2) make of position and velocity
+_OPPOSITE = 0.2  # of a slower axis's size: how little the sum of two opposite signals is
 _MIN_ACCELERATION = 0.3  # m/s^2 rms
 _AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
 _CLEAR_AGREEMENT = 0.8  # correlation about zero of one motion logged along two axes
@@ -258,7 +260,7 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
         return unit
     for axis in range(3):
         a, b = moved[valid, axis], velocity[valid, axis]
-        if min(_rms(a), _rms(b)) > _MIN_SPEED and _agreement(a, b) < -_AGREEMENT:
+        if _is_opposite_motion(a, b):
             return Contradiction(
                 "velocity_frame",
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
@@ -272,6 +274,14 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
             "columns in order.",
         )
     return None
+
+
+def _is_opposite_motion(one: Floats, other: Floats) -> bool:
+    """Whether one velocity along an axis is the other with the opposite sign, not two errors of an estimator. m/s."""
+    speed = min(_rms(one), _rms(other))
+    if speed > _CLEAR_SPEED:
+        return _agreement(one, other) < -_AGREEMENT
+    return speed > _MIN_SPEED and _rms(one + other) < _OPPOSITE * speed
 
 
 def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:

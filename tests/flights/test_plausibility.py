@@ -125,6 +125,21 @@ def test_an_estimators_error_is_no_exchange_of_axes() -> None:
     assert plausibility.check(climbing(0.5)) == ()
 
 
+@pytest.mark.parametrize(("speed", "sign", "opposite"), [(0.1, 1.0, False), (0.2, -1.0, True), (0.6, -1.0, True)])
+def test_errors_of_an_estimator_are_no_opposite_sign(speed: float, sign: float, opposite: bool) -> None:
+    """Position and velocity err by 0.2 m/s each, here against each other; where the axis is slow, a sign that is wrong
+    shows without such errors alone."""
+    time = np.arange(0.0, 20.0, 0.02)
+    climb = speed * np.sqrt(2) * np.sin(0.9 * time)
+    error = 0.2 * np.sqrt(2) * np.sin(0.5 * time) * (speed != 0.2)
+    across = np.column_stack([np.cos(0.6 * time), np.sin(0.7 * time)])
+    position = np.cumsum(np.column_stack([across, climb + error]), axis=0) * 0.02
+    velocity = np.column_stack([across, sign * climb - error])
+    streams = [Stream("position", time, position, ""), Stream("velocity", time, velocity, "")]
+    expected = ["velocity_frame"] if opposite else []
+    assert [finding.name for finding in plausibility.check(streams)] == expected
+
+
 @pytest.mark.parametrize(("scale", "expected"), [(1.0, []), (0.3048, ["position_unit"])])
 def test_what_an_estimator_errs_in_slow_motion_is_no_unit(scale: float, expected: list[str]) -> None:
     """The velocity errs by more than the vehicle moves: it is 1.7 times the position's change, and agrees with half of
