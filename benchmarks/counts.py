@@ -172,9 +172,9 @@ def _row(title: str, some: Sequence[Count], is_counted: Callable[[Count], bool],
 
 
 def table(counts: Mapping[str, Sequence[Count]], revision: str = "") -> str:
-    """All figures with their intervals, those of one revision alone, then every fault."""
-    parts = [figures(counts)]
-    answered = {kind: [c for c in some if c.revision == revision] for kind, some in counts.items()}
+    """All figures with their intervals, those of one revision alone or of some with commas, then every fault."""
+    parts, alone = [figures(counts)], revision.split(",")
+    answered = {kind: [c for c in some if c.revision in alone] for kind, some in counts.items()}
     if of_revision := {kind: some for kind, some in answered.items() if some}:
         parts += [f"## Answered by {revision} alone", figures(of_revision)]
     return "\n\n".join([*parts, "## Cases", _seeds(counts), "## Faults", "\n".join(_faults(counts))])
@@ -241,7 +241,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--revision",
         default="",
-        help="of the repository, for the lines; with a table that of which is shown alone, too",
+        help="of the repository, for the lines; with a table that (or those, with commas) of which is shown alone, too",
     )
     made.add_argument("--table", action="store_true", help="write results/counts.md of all lines")
     return made
