@@ -7,7 +7,6 @@ little for a comparison passes it.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,6 +16,17 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
+from flights.agreement import (
+    AGREEMENT,
+    SAME_SIZE,
+    agreement,
+    both,
+    exchanged_axes,
+    is_opposite,
+    may_be_one_size,
+    offset,
+    rms,
+)
 from flights.alignment import resample
 from flights.log import Stream
 from flights.quantities import MOTION
@@ -26,17 +36,13 @@ if TYPE_CHECKING:
 
 _GRID_RATE = 50.0  # Hz of the comparisons
 _MAX_ROWS = 60_000  # rows compared at most
-_SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
+_SPAN = 10  # steps, 0.2 s, over which differences are taken: far above any sensor's delay
 _MAX_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
 _MAX_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
 _MIN_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _MIN_SPEED = 0.15  # m/s rms
-_CLEAR_SPEED = 0.35  # m/s rms along an axis, beyond what an estimator's errors (0.2) make of position and velocity
-_OPPOSITE = 0.2  # of a slower axis's size: how little the sum of two opposite signals is
+_ERROR_OF_SPEED = 0.35  # m/s rms that an estimator's position and velocity may be apart: each errs by up to 0.23
 _MIN_ACCELERATION = 0.3  # m/s^2 rms
-_AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
-_CLEAR_AGREEMENT = 0.8  # correlation about zero of one motion logged along two axes
-_CLEARER = 0.3  # by which that must exceed the correlation along equal axes
 _NO_AGREEMENT = 0.2  # correlation about zero below which there is none
 _DEGREES = 180 / np.pi
 _MAX_SHIFT = 0.5  # s between two clocks that is tried
@@ -44,7 +50,6 @@ _CLEAR_SHIFT = 0.08  # s beyond which no sensor is late in a usable log: further
 _BETTER = 0.05  # by which the correlation must rise at that shift; others' logs with one clock: 0.016 at most
 _MIN_LATERAL = 0.2  # m/s^2 rms of force along body x and y that both sensors must show
 _MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
-_SAME_SIZE = (0.6, 1.67)  # range of a ratio that must be 1
 _WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
 _CLIPPED = 0.01  # share of values at the largest, from which on a range ends there
 _DEAD = 0.005  # of the turning that an axis of the gyro must show
@@ -134,39 +139,36 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Body rates must be those by which the attitude turns, on every axis that turns."""
     if not {"attitude", "rate"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    attitude, rate = on_grid["attitude"], _mean(on_grid["rate"], span)
-    turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-span]), attitude[span:]))
-    turning = turned / (span / _GRID_RATE)
-    valid = np.isfinite(turning).all(axis=1) & np.isfinite(rate).all(axis=1)
-    valid &= np.linalg.norm(turned, axis=1) < 1.5  # a long turn between two samples is no rotation vector's rate
-    if np.count_nonzero(valid) < 50:
+    attitude, rate = on_grid["attitude"], _mean(on_grid["rate"])
+    turned = _turned(attitude)
+    short = np.linalg.norm(turned, axis=1, keepdims=True) < 1.5  # a longer turn is no rotation vector's rate
+    pair = both(np.where(short, turned, np.nan) * (_GRID_RATE / _SPAN), rate)
+    if pair is None:
         return None
-    turning, rate = turning[valid], rate[valid]
-    speed = _rms(turning)
+    turning, rate = pair
+    speed = rms(turning)
     if speed < _MIN_RATE:
         return None
-    ratio = _rms(rate) / speed
+    ratio = rms(rate) / speed
     if 0.5 * _DEGREES < ratio < 2 * _DEGREES:
         return Contradiction(
             "rates_in_degrees",
             f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
         )
-    agreement = _agreement(turning, rate)
-    if agreement > _AGREEMENT and not _may_be_one_size(ratio, agreement) and not _clips(on_grid["rate"]):
+    agreeing = agreement(turning, rate)
+    if agreeing > AGREEMENT and not may_be_one_size(ratio, agreeing) and not _clips(on_grid["rate"]):
         return Contradiction(
             "rate_unit",
             f"the body rates are {ratio:.2f} times those by which the attitude turns. Wanted rad/s; check the scale.",
         )
     for axis in range(3):
-        a, b = turning[:, axis], rate[:, axis]
-        if min(_rms(a), _rms(b)) > _MIN_RATE and _agreement(a, b) < -_AGREEMENT:
+        if is_opposite(turning[:, axis], rate[:, axis], _MIN_RATE):
             return Contradiction(
                 "rate_frame",
                 f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
                 "the same axes (FRD and FLU?), or the attitude is world to body. Wanted both in body FLU, w first.",
             )
-    exchanged = _exchanged_axes(turning, rate, _MIN_RATE)
+    exchanged = exchanged_axes(turning, rate, _MIN_RATE)
     if exchanged:
         return Contradiction(
             "rate_frame",
@@ -185,7 +187,7 @@ def _clips(values: Floats) -> bool:
 def _dead_axis(turning: Floats, rate: Floats) -> Contradiction | None:
     """An axis of the gyro that shows nothing of the attitude's turning. Both: (n, 3) rad/s."""
     for axis in range(3):
-        clear = _rms(turning[:, axis])
+        clear = rms(turning[:, axis])
         if clear > _CLEAR_RATE and float(np.std(rate[:, axis])) < _DEAD * clear:
             return Contradiction(
                 "rate_dead",
@@ -215,11 +217,11 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
             "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
         )
     size = float(np.linalg.norm(mean))
-    if any(_SAME_SIZE[0] < size / needed < _SAME_SIZE[1] for needed in (GRAVITY, _needed_force(on_grid)) if needed):
+    if any(SAME_SIZE[0] < size / needed < SAME_SIZE[1] for needed in (GRAVITY, _needed_force(on_grid)) if needed):
         return None
-    if _SAME_SIZE[0] < size < _SAME_SIZE[1]:
+    if SAME_SIZE[0] < size < SAME_SIZE[1]:
         return Contradiction("force_in_g", f"the specific force is {size:.2f} on average: it is in g. Wanted m/s^2.")
-    if size < _SAME_SIZE[0]:
+    if size < SAME_SIZE[0]:
         return Contradiction(
             "gravity_removed",
             f"the specific force is {size:.2f} m/s^2 on average: gravity's reaction was removed from it. Wanted what "
@@ -236,8 +238,7 @@ def _needed_force(on_grid: dict[str, Floats]) -> float:
     """Size of the median specific force that the motion needs, m/s^2; 0 where no velocity tells."""
     if "velocity" not in on_grid:
         return 0.0
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    gained = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) * (_GRID_RATE / span)
+    gained = _change(on_grid["velocity"])
     gained = gained[np.isfinite(gained).all(axis=1)]
     if len(gained) < 20:
         return 0.0
@@ -247,26 +248,23 @@ def _needed_force(on_grid: dict[str, Floats]) -> float:
 def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | None:
     if not {"position", "velocity"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    moved = (on_grid["position"][span:] - on_grid["position"][:-span]) / (span / _GRID_RATE)
-    velocity = _mean(on_grid["velocity"], span)
-    valid = np.isfinite(moved).all(axis=1) & np.isfinite(velocity).all(axis=1)
-    if np.count_nonzero(valid) < 50:
+    pair = both(_change(on_grid["position"]), _mean(on_grid["velocity"]))
+    if pair is None:
         return None
-    speed = np.linalg.norm(np.nan_to_num(moved), axis=1)
-    valid &= speed < max(50.0, 20.0 * float(np.median(speed[valid])))  # an estimator's reset is no motion
-    unit = _unit_of_position(moved[valid], velocity[valid])
+    speed = np.linalg.norm(pair[0], axis=1)
+    usual = speed < max(50.0, 20.0 * float(np.median(speed)))  # an estimator's reset is no motion
+    moved, velocity = (values[usual] for values in pair)
+    unit = _unit_of_position(moved, velocity)
     if unit is not None:
         return unit
     for axis in range(3):
-        a, b = moved[valid, axis], velocity[valid, axis]
-        if _is_opposite_motion(a, b):
+        if is_opposite(moved[:, axis], velocity[:, axis], _MIN_SPEED, _ERROR_OF_SPEED):
             return Contradiction(
                 "velocity_frame",
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
                 "same axes (NED and ENU?). Wanted both in ENU.",
             )
-    exchanged = _exchanged_axes(moved[valid], velocity[valid], _MIN_SPEED)
+    exchanged = exchanged_axes(moved, velocity, _MIN_SPEED)
     if exchanged:
         return Contradiction(
             "velocity_frame",
@@ -276,28 +274,20 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
     return None
 
 
-def _is_opposite_motion(one: Floats, other: Floats) -> bool:
-    """Whether one velocity along an axis is the other with the opposite sign, not two errors of an estimator. m/s."""
-    speed = min(_rms(one), _rms(other))
-    if speed > _CLEAR_SPEED:
-        return _agreement(one, other) < -_AGREEMENT
-    return speed > _MIN_SPEED and _rms(one + other) < _OPPOSITE * speed
-
-
 def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:
     """The change of position and the velocity must be of one size. Both: (n, 3) m/s."""
     moved, velocity = moved - np.median(moved, axis=0), velocity - np.median(velocity, axis=0)
-    if _rms(velocity) < _MIN_SPEED or _rms(moved) == 0.0:
+    if rms(velocity) < _MIN_SPEED or rms(moved) == 0.0:
         return None
-    ratio, agreement = _rms(moved) / _rms(velocity), _agreement(moved, velocity)
-    if agreement < _AGREEMENT or _may_be_one_size(ratio, agreement):
+    ratio, agreeing = rms(moved) / rms(velocity), agreement(moved, velocity)
+    if agreeing < AGREEMENT or may_be_one_size(ratio, agreeing):
         return None
     names = {1000.0: "mm", 100.0: "cm"}
     guess = ""
     for factor, unit in names.items():
-        if _SAME_SIZE[0] < ratio / factor < _SAME_SIZE[1]:
+        if SAME_SIZE[0] < ratio / factor < SAME_SIZE[1]:
             guess = f": position is in {unit} beside a velocity in m/s"
-        if _SAME_SIZE[0] < ratio * factor < _SAME_SIZE[1]:
+        if SAME_SIZE[0] < ratio * factor < SAME_SIZE[1]:
             guess = f": velocity is in {unit}/s beside a position in m"
     return Contradiction(
         "position_unit",
@@ -306,54 +296,31 @@ def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:
     )
 
 
-def _exchanged_axes(one: Floats, other: Floats, smallest: float) -> str:
-    """Pairs of axes that agree while equal axes do not, for people; empty if there are none. Both: (n, 3).
-
-    All axes that an order of the columns displaces must say so: one that errs by more than it moves resembles another
-    axis along which the vehicle moves with it.
-    """
-    for order in itertools.permutations(range(3)):
-        moving = [(i, j) for i, j in enumerate(order) if i != j and max(_rms(one[:, i]), _rms(other[:, j])) >= smallest]
-        if moving and all(_is_another_axis(one[:, i], other[:, i], other[:, j]) for i, j in moving):
-            return ", ".join(f"{'xyz'[i]} and {'xyz'[j]}: {_agreement(one[:, i], other[:, j]):.2f}" for i, j in moving)
-    return ""
-
-
-def _is_another_axis(one: Floats, own: Floats, another: Floats) -> bool:
-    """Whether a motion agrees with what was logged along another axis, and not with its own. All: (n,)."""
-    if 0.0 in (_rms(one), _rms(own), _rms(another)):
-        return False
-    agreement = abs(_agreement(one, another))
-    return agreement > max(_CLEAR_AGREEMENT, abs(_agreement(one, own)) + _CLEARER)
-
-
 def _tilt_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Thrust acts along body z: a multirotor that tilts to the east accelerates east."""
     if not {"attitude", "velocity"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    acceleration = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) / (span / _GRID_RATE)
-    thrust_direction = _mean(GRAVITY * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)
-    valid = np.isfinite(acceleration).all(axis=1) & np.isfinite(thrust_direction).all(axis=1)
-    if np.count_nonzero(valid) < 50:
+    thrust_direction = _mean(GRAVITY * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])))
+    pair = both(_change(on_grid["velocity"]), thrust_direction)
+    if pair is None:
         return None
-    a, b = acceleration[valid, :2], thrust_direction[valid, :2]
-    if min(_rms(a), _rms(b)) < _MIN_ACCELERATION:
+    a, b = (values[:, :2] for values in pair)
+    if min(rms(a), rms(b)) < _MIN_ACCELERATION:
         return None
-    agreement = _agreement(a, b)
-    exchanged = _agreement(a, b[:, ::-1])
-    if agreement < _NO_AGREEMENT and exchanged > _AGREEMENT:
+    agreeing = agreement(a, b)
+    exchanged = agreement(a, b[:, ::-1])
+    if agreeing < _NO_AGREEMENT and exchanged > AGREEMENT:
         return Contradiction(
             "attitude_frame",
-            f"the vehicle accelerates along x where its thrust tilts along y (agreement {agreement:.2f}, exchanged "
+            f"the vehicle accelerates along x where its thrust tilts along y (agreement {agreeing:.2f}, exchanged "
             f"{exchanged:.2f}): attitude and velocity are not in the same axes, as NED labelled as ENU. Wanted ENU and "
             "FLU; convert them, or give a column mapping.",
         )
-    if agreement > -_AGREEMENT:
+    if agreeing > -AGREEMENT:
         return None
     return Contradiction(
         "attitude_frame",
-        f"the vehicle accelerates away from where its thrust points (agreement {agreement:.2f}): attitude and velocity "
+        f"the vehicle accelerates away from where its thrust points (agreement {agreeing:.2f}): attitude and velocity "
         "are not in the same axes, as NED labelled as ENU. Wanted ENU and FLU; convert them, or give a column mapping.",
     )
 
@@ -362,19 +329,16 @@ def _force_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | N
     """Vertical acceleration agrees between accelerometer and velocity."""
     if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    climb = on_grid["velocity"][:, 2:]
-    acceleration = (climb[span:] - climb[:-span]) / (span / _GRID_RATE)
-    measured = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY, span)
-    valid = np.isfinite(acceleration[:, 0]) & np.isfinite(measured[:, 0])
-    if np.count_nonzero(valid) < 50:
+    measured = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY)
+    pair = both(_change(on_grid["velocity"][:, 2:]), measured)
+    if pair is None:
         return None
-    a, b = acceleration[valid], measured[valid] - np.median(measured[valid])
-    if min(_rms(a), _rms(b)) < _MIN_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
+    a, b = pair[0], pair[1] - np.median(pair[1])
+    if min(rms(a), rms(b)) < _MIN_ACCELERATION or agreement(a, b) > -AGREEMENT:
         return None
     return Contradiction(
         "velocity_frame",
-        f"the velocity along z falls while the specific force exceeds gravity (agreement {_agreement(a, b):.2f}): "
+        f"the velocity along z falls while the specific force exceeds gravity (agreement {agreement(a, b):.2f}): "
         "position and velocity are NED labelled as ENU. Wanted z up; convert them, or give a column mapping.",
     )
 
@@ -383,32 +347,29 @@ def _force_against_tilt(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Specific force is measured along body axes, and shows nothing there of the thrust's horizontal part."""
     if not {"attitude", "specific_force"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
     force = on_grid["specific_force"]
     size = np.linalg.norm(force, axis=1, keepdims=True)
-    tilted = _mean(size * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)[:, :2]
-    logged = _mean(force, span)[:, :2]
-    valid = np.isfinite(tilted).all(axis=1) & np.isfinite(logged).all(axis=1)
-    if np.count_nonzero(valid) < 50:
+    tilted = _mean(size * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])))[:, :2]
+    pair = both(_mean(force)[:, :2], tilted)
+    if pair is None:
         return None
-    a, b = logged[valid] - np.median(logged[valid], axis=0), tilted[valid] - np.median(tilted[valid], axis=0)
-    if _rms(b) < _MIN_TILT_FORCE or not _SAME_SIZE[0] < _rms(a) / _rms(b) < _SAME_SIZE[1]:
+    a, b = (values - np.median(values, axis=0) for values in pair)
+    if rms(b) < _MIN_TILT_FORCE or not SAME_SIZE[0] < rms(a) / rms(b) < SAME_SIZE[1]:
         return None
-    if _agreement(a, b) < _WORLD_AXES:
+    if agreement(a, b) < _WORLD_AXES:
         return None
     return Contradiction(
         "force_frame",
         "the specific force along x and y is that of the thrust's tilt in the world (agreement "
-        f"{_agreement(a, b):.2f}): it is in world axes. Wanted body FLU, where an accelerometer measures; rotate it "
+        f"{agreement(a, b):.2f}): it is in world axes. Wanted body FLU, where an accelerometer measures; rotate it "
         "back by the attitude.",
     )
 
 
 def _pose_force(on_grid: dict[str, Floats]) -> Floats:
-    """(n - span, 3) specific force along body axes that the motion of the pose has, m/s^2."""
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    acceleration = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) / (span / _GRID_RATE)
-    middle = on_grid["attitude"][span // 2 : span // 2 + len(acceleration)]
+    """(n - 10, 3) specific force along body axes that the motion of the pose has, m/s^2."""
+    acceleration = _change(on_grid["velocity"])
+    middle = on_grid["attitude"][_SPAN // 2 : _SPAN // 2 + len(acceleration)]
     return np.asarray(quaternion.rotate_inverse(middle, acceleration + np.array([0.0, 0.0, GRAVITY])))
 
 
@@ -416,40 +377,36 @@ def _lateral_force(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Along body x and y the accelerometer reads the drag that slows the vehicle."""
     if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
         return None
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
-    pose, logged = _pose_force(on_grid)[:, :2], _mean(on_grid["specific_force"], span)[:, :2]
-    valid = np.isfinite(pose).all(axis=1) & np.isfinite(logged).all(axis=1)
-    if np.count_nonzero(valid) < 50:
+    pair = both(_pose_force(on_grid)[:, :2], _mean(on_grid["specific_force"])[:, :2])
+    if pair is None:
         return None
-    a, b = pose[valid] - np.median(pose[valid], axis=0), logged[valid] - np.median(logged[valid], axis=0)
+    a, b = (values - np.median(values, axis=0) for values in pair)
     for axis in range(2):
         one, other = a[:, axis], b[:, axis]
-        if min(_rms(one), _rms(other)) > _MIN_LATERAL and _agreement(one, other) < -_AGREEMENT:
+        if is_opposite(one, other, _MIN_LATERAL):
             return Contradiction(
                 "force_frame",
                 f"the specific force along {'xy'[axis]} has the opposite sign of what the pose's motion needs "
-                f"(agreement {_agreement(one, other):.2f}): its axes are not the body's. Wanted body FLU.",
+                f"(agreement {agreement(one, other):.2f}): its axes are not the body's. Wanted body FLU.",
             )
     return None
 
 
 def _clocks(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Streams of one motion must show it at one time."""
-    span = max(1, round(_SMOOTHING * _GRID_RATE))
     pairs: list[tuple[str, Floats, Floats]] = []
     if {"attitude", "rate"} <= on_grid.keys():
-        attitude = on_grid["attitude"]
-        turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-span]), attitude[span:]))
-        pairs.append(("the body rates are", turned * (_GRID_RATE / span), _mean(on_grid["rate"], span)))
+        turning = _turned(on_grid["attitude"]) * (_GRID_RATE / _SPAN)
+        pairs.append(("the body rates are", turning, _mean(on_grid["rate"])))
     if {"position", "velocity"} <= on_grid.keys():
-        moved = (on_grid["position"][span:] - on_grid["position"][:-span]) * (_GRID_RATE / span)
-        pairs.append(("the velocity is", moved, _mean(on_grid["velocity"], span)))
+        pairs.append(("the velocity is", _change(on_grid["position"]), _mean(on_grid["velocity"])))
     if {"attitude", "velocity", "specific_force"} <= on_grid.keys():
         world = quaternion.rotate(on_grid["attitude"], on_grid["specific_force"]) - np.array([0.0, 0.0, GRAVITY])
-        gained = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) * (_GRID_RATE / span)
-        pairs.append(("the accelerometer's clock, or the attitude's, is", gained, _mean(world, span)))
+        gained = _change(on_grid["velocity"])
+        pairs.append(("the accelerometer's clock, or the attitude's, is", gained, _mean(world)))
     for name, one, other in pairs:
-        seconds, gained_agreement = _clock_offset(one, other)
+        steps, gained_agreement = offset(one, other, round(_MAX_SHIFT * _GRID_RATE), _MIN_RATE)
+        seconds = steps / _GRID_RATE
         if abs(seconds) >= _CLEAR_SHIFT and gained_agreement > _BETTER:
             late = "late" if seconds > 0 else "early"
             return Contradiction(
@@ -460,50 +417,20 @@ def _clocks(on_grid: dict[str, Floats]) -> Contradiction | None:
     return None
 
 
-def _clock_offset(one: Floats, other: Floats) -> tuple[float, float]:
-    """By how much the other is late, s, and the rise of their correlation at that shift; zeros where none is clear."""
-    best, plain, at = -1.0, 0.0, 0
-    reach = round(_MAX_SHIFT * _GRID_RATE)
-    if len(one) <= 2 * reach:
-        return 0.0, 0.0
-    for shift in range(-reach, reach + 1):
-        a = one[max(-shift, 0) : len(one) - max(shift, 0)]
-        b = other[max(shift, 0) : len(other) - max(-shift, 0)]
-        valid = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-        if np.count_nonzero(valid) < 50:
-            return 0.0, 0.0
-        a, b = a[valid], b[valid]
-        if min(_rms(a), _rms(b)) < _MIN_RATE:
-            return 0.0, 0.0
-        agreement = _agreement(a, b)
-        plain = agreement if shift == 0 else plain
-        if agreement > best:
-            best, at = agreement, shift
-    return (at / _GRID_RATE, best - plain) if best > _CLEAR_AGREEMENT else (0.0, 0.0)
+def _turned(attitude: Floats) -> Floats:
+    """(n - 10, 3) rotation vectors, rad, by which an attitude (n, 4) turns over 0.2 s."""
+    return quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-_SPAN]), attitude[_SPAN:]))
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _change(values: Floats) -> Floats:
+    """(n - 10, k) change of values (n, k) over 0.2 s, per s."""
+    return (values[_SPAN:] - values[:-_SPAN]) * (_GRID_RATE / _SPAN)
 
 
-def _may_be_one_size(ratio: float, agreement: float) -> bool:
-    """Whether two signals of one size may have such a ratio of RMS: of slow motion one may be noise for the most part.
-
-    Noise in one of two equal signals makes it larger by the inverse of their correlation.
-    """
-    return agreement > 0 and _SAME_SIZE[0] * agreement < ratio < _SAME_SIZE[1] / agreement
-
-
-def _agreement(one: Floats, other: Floats) -> float:
-    """Correlation about zero: 1 for the same motion, -1 for the opposite one, 0 where one stands still."""
-    size = _rms(one) * _rms(other)
-    return float(np.mean(one * other)) / size if size > 0 else 0.0
-
-
-def _mean(values: Floats, span: int) -> Floats:
-    """Mean over each interval of `span` steps by the trapezium rule: (n - span, k)."""
+def _mean(values: Floats) -> Floats:
+    """(n - 10, k) mean of values (n, k) over 0.2 s, by the trapezium rule."""
     steps = 0.5 * (values[1:] + values[:-1])
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.nan_to_num(steps, nan=0.0), axis=0)])
     gaps = np.concatenate([[0], np.cumsum(~np.isfinite(steps).all(axis=1))])
-    mean = (sums[span:] - sums[:-span]) / span
-    return np.where((gaps[span:] - gaps[:-span])[:, None] > 0, np.nan, mean)
+    mean = (sums[_SPAN:] - sums[:-_SPAN]) / _SPAN
+    return np.where((gaps[_SPAN:] - gaps[:-_SPAN])[:, None] > 0, np.nan, mean)

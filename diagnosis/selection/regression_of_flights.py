@@ -236,7 +236,7 @@ def _beyond_feedback(
     """Residuals (m, 12) after a ridge regression on all columns of slow motion alone.
 
     The controller answers turbulence, and columns of its commands, of several lags behind them, explain a torque of
-    turbulence by that answer: of its power below 3 Hz they leave a fifth to a twentieth. Slow motion has little of it.
+    turbulence by that answer: of its power near 1 Hz they leave a quarter to a thirtieth. Slow motion has little.
     """
 
     def slow_motion(values: Sequence[Floats]) -> list[Floats]:

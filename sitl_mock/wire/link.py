@@ -52,19 +52,21 @@ def _parsed(parser: Message, data: bytes) -> list[Message]:
     parsed = []
     message = parser.parse_char(data)
     while message is not None:
-        rest = parser.buf[parser.buf_index :]
-        if _is_false_start(message, rest):
-            parser.buf, parser.buf_index = message.get_msgbuf()[1:] + rest, 0
         parsed.append(message)
+        if _is_false_start(message, parser.buf[parser.buf_index : parser.buf_index + 1]):
+            parser.buf, parser.buf_index = message.get_msgbuf()[1:] + parser.buf[parser.buf_index :], 0
         message = parser.parse_char(b"")
     return parsed
 
 
-def _is_false_start(message: Message, rest: bytearray) -> bool:
-    """Whether bytes with a marker are no frame: its checksum is wrong, or cannot be checked and no frame follows."""
+def _is_false_start(message: Message, following: bytearray) -> bool:
+    """Whether bytes with a marker are no frame: their checksum is wrong, or cannot be checked and no frame follows.
+
+    following: the byte behind them, if there is one.
+    """
     if message.get_type() == "BAD_DATA":
         return message.get_msgbuf()[0] in MARKERS
-    return "UNKNOWN" in message.get_type() and len(rest) > 0 and rest[0] not in MARKERS
+    return "UNKNOWN" in message.get_type() and len(following) > 0 and following[0] not in MARKERS
 
 
 class Link:

@@ -125,18 +125,21 @@ def test_an_estimators_error_is_no_exchange_of_axes() -> None:
     assert plausibility.check(climbing(0.5)) == ()
 
 
-@pytest.mark.parametrize(("speed", "sign", "opposite"), [(0.1, 1.0, False), (0.2, -1.0, True), (0.6, -1.0, True)])
-def test_errors_of_an_estimator_are_no_opposite_sign(speed: float, sign: float, opposite: bool) -> None:
-    """Position and velocity err by 0.2 m/s each, here against each other; where the axis is slow, a sign that is wrong
-    shows without such errors alone."""
+@pytest.mark.parametrize(
+    ("speed", "error", "sign", "expected"),
+    [(0.1, 0.2, 1.0, []), (0.2, 0.0, -1.0, ["velocity_frame"]), (0.6, 0.2, -1.0, ["velocity_frame"])],
+    ids=["slow and right", "slow without errors", "fast"],
+)
+def test_errors_of_an_estimator_are_no_opposite_sign(
+    speed: float, error: float, sign: float, expected: list[str]
+) -> None:
+    """Position and velocity along z err against each other; without errors a wrong sign shows in slow motion."""
     time = np.arange(0.0, 20.0, 0.02)
-    climb = speed * np.sqrt(2) * np.sin(0.9 * time)
-    error = 0.2 * np.sqrt(2) * np.sin(0.5 * time) * (speed != 0.2)
+    climb, errs = (np.sqrt(2) * size * np.sin(rate * time) for size, rate in ((speed, 0.9), (error, 0.5)))
     across = np.column_stack([np.cos(0.6 * time), np.sin(0.7 * time)])
-    position = np.cumsum(np.column_stack([across, climb + error]), axis=0) * 0.02
-    velocity = np.column_stack([across, sign * climb - error])
+    position = np.cumsum(np.column_stack([across, climb + errs]), axis=0) * 0.02
+    velocity = np.column_stack([across, sign * climb - errs])
     streams = [Stream("position", time, position, ""), Stream("velocity", time, velocity, "")]
-    expected = ["velocity_frame"] if opposite else []
     assert [finding.name for finding in plausibility.check(streams)] == expected
 
 

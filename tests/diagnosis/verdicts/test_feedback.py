@@ -42,7 +42,7 @@ def logged_by_px4(folder, hidden, drag, damping, seed):
 
 
 def test_turbulence_that_commands_explain_by_the_answer_to_it_is_noise(tmp_path):
-    """All columns together leave a twentieth of this vehicle's torques below 1.5 Hz; nothing is missing in the rest."""
+    """All columns together leave a twentieth of its torque about y near 1 Hz; nothing is missing in the rest."""
     dataset, vehicle = logged_by_px4(tmp_path, {}, 0.0659, 3.57e-5, 1763380004)
     diagnosis = diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
     assert (diagnosis.verdict, diagnosis.leftover) == ("explained", ())
