@@ -24,7 +24,7 @@ from diagnosis.estimation.evaluation import (
     typical_chi_square,
 )
 from diagnosis.estimation.fitted import Fit
-from diagnosis.estimation.joint_search import search_jointly
+from diagnosis.estimation.joint_search import search_jointly, with_gust_about
 from diagnosis.estimation.paired_errors import differences
 from diagnosis.estimation.refusal import Refused, delay_in_words
 from diagnosis.estimation.revision import (
@@ -44,7 +44,7 @@ from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import ErringRows, Rejection, ResidualTests, run_residual_tests
-from diagnosis.selection.selected import Selection, with_gust_beside
+from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
 from diagnosis.verdict import (
     channel_errors,
@@ -107,13 +107,13 @@ def diagnose_dataset(
     """
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+    first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     progress(0.35, "search of the effects")
-    regression, selection = search_jointly(regression)
+    regression, selection = search_jointly(first)
     progress(0.55, "joint fit and acceptance")
     present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
     before = residuals_in(regression, present, dataset.held_out)
-    judgement = _Judgement(regression, selection, dataset, before)
+    judgement = _Judgement(first, regression, selection, dataset, before)
     accepted = accepted_fit(regression, selection, dataset)
     progress(0.85, "tests of what remains")
     accepted, judged = judgement.revised(accepted)
@@ -265,23 +265,34 @@ class _Judged:
 
 
 class _Judgement:
-    """The tests of the residuals of accepted fits. before: (m, 12) held-out residuals without effects."""
+    """The tests of the residuals of accepted fits.
 
-    def __init__(self, regression: Regression, selected: Selection, dataset: Dataset, before: list[Floats]) -> None:
-        self._regression, self._selected, self._dataset, self._before = regression, selected, dataset, before
+    first: the regression before the search. before: (m, 12) held-out residuals without effects.
+    """
+
+    def __init__(
+        self,
+        first: Regression,
+        regression: Regression,
+        selected: Selection,
+        dataset: Dataset,
+        before: list[Floats],
+    ) -> None:
+        self._first, self._regression, self._selected = first, regression, selected
+        self._dataset, self._before = dataset, before
 
     def of(self, accepted: Accepted) -> _Judged:
         """A gust and the tests that reject, of one fit."""
         regression = self._regression
-        selection = with_gust_beside(regression, self._selected, accepted.fit.candidates)
+        by_fit, selection = with_gust_about(regression, self._first, self._selected, accepted.fit)
         after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
         fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
         erring = self._erring_rows(accepted, fitted)
         tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected, erring=erring)
         tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
-        refused = gust_refusal(regression, selection, tests, regression.thresholds.verdict)
+        refused = gust_refusal(by_fit, selection, tests, regression.thresholds.verdict)
         gusty = selection.gust_detected and refused is None
-        if gusty and (gust := turbulence_of(selection.gust, regression)) is not None:
+        if gusty and (gust := turbulence_of(selection.gust, by_fit)) is not None:
             tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, erring=erring)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))

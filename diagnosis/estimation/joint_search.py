@@ -18,7 +18,14 @@ from diagnosis.estimation.pursuit import about, pursue
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
-from diagnosis.selection.selected import Selection, select, select_from, select_in_still_air
+from diagnosis.selection.selected import (
+    Selection,
+    select,
+    select_from,
+    select_in_still_air,
+    with_gust_beside,
+    with_gust_by,
+)
 
 
 def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
@@ -41,6 +48,24 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
             required = regression.thresholds.acceptance.max_redundant_ratio * _decided_chi_square(again)
             best = again if level > required else best
     return best.regression.in_gust(best.selection.gust_variance), best.selection
+
+
+def with_gust_about(
+    regression: Regression, first: Regression, selection: Selection, fitted: Fit
+) -> tuple[Regression, Selection]:
+    """The selection with the gust beside a fit, and the regression by which it is judged.
+
+    A gust that is detected is judged again by rows and columns about that fit: about another one, as that of a vehicle
+    in still air, they leave what is not linear in a steady wind, which looks like a gust. first: the regression before
+    the search.
+    """
+    selection = with_gust_beside(regression, selection, fitted.candidates)
+    if not selection.gust_detected or not fitted.candidates:
+        return regression, selection
+    again = about(regression, first.candidates, first.nuisances, fitted)
+    if again is None:
+        return regression, selection
+    return again, with_gust_by(again, selection, fitted.candidates)
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,6 +106,11 @@ def with_gust_beside(regression: Regression, selection: Selection, candidates: S
     refused may have made room for it."""
     if {c.key for c in candidates} == {c.key for c in selection.chosen.candidates}:
         return selection
+    return with_gust_by(regression, selection, candidates)
+
+
+def with_gust_by(regression: Regression, selection: Selection, candidates: Sequence[Candidate]) -> Selection:
+    """The selection with the gust that a regression shows beside certain effects."""
     columns = [i for c in candidates for i in c.columns]
     gust = gust_beside(regression, columns)
     required = regression.thresholds.search.min_gust_share * regression.gain(columns)
