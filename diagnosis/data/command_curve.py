@@ -158,20 +158,20 @@ class NominalWrench:
 
     def specific_force(self, segment: Segment) -> Floats:
         """(m,) specific force along body z of the effects, filtered and in the regression's rows, m/s^2."""
-        force = self._of_effects(segment)[0]
+        force = self.of_effects(segment)[0]
         return segment.low_pass(simpson(force))[segment.decimated]
 
     def missing_moment(self, segment: Segment) -> Floats:
         """(n, 3) moment of the motion that the effects do not make, N m."""
         rate = segment.low_pass(segment.body_rate)
         moment = self._inertia * difference(rate, segment.rate) + np.cross(rate, self._inertia * rate)
-        return np.asarray(moment - self._of_effects(segment)[1])
+        return np.asarray(moment - self.of_effects(segment)[1])
 
     def _squares(self, segment: Segment) -> Floats:
         return lagged(segment.rotor_speed, segment.rate, self._lag) ** 2
 
-    def _of_effects(self, segment: Segment) -> tuple[Floats, Floats]:
-        """(n,) specific force along body z and (n, 3) moment of the effects; zero where no pose was logged."""
+    def of_effects(self, segment: Segment) -> tuple[Floats, Floats]:
+        """The effects: (n,) specific force along body z and (n, 3) moment of the effects; zero where no pose was logged."""
         count = len(segment)
         if not segment.has_pose or not self._model.effects:
             return np.zeros(count), np.zeros((count, 3))

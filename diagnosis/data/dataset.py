@@ -11,6 +11,7 @@ import numpy as np
 from diagnosis.data.command_curve import CommandCurve, fit_command_curve
 from diagnosis.data.hold_out import divided, held_out_blocks, missing_motion
 from diagnosis.data.inspected import doubt_note, inspected
+from diagnosis.data.rotor_hold import find_hold
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
 from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
@@ -141,6 +142,10 @@ def make_dataset(
         curve = fit_command_curve(to_fit, held_out, vehicle, thresholds.command_curve)
         notes.append(curve.note())
         to_fit, held_out = (tuple(curve.applied(s) for s in part) for part in (to_fit, held_out))
+    hold = find_hold(to_fit, vehicle, thresholds.rotor_hold)
+    if hold is not None:
+        notes.append(hold.note())
+        to_fit, held_out = (tuple(hold.applied(s) for s in part) for part in (to_fit, held_out))
     return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings, curve, held_hashes)
 
 

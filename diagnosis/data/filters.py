@@ -48,6 +48,16 @@ def rate_of_change(values: Floats, rate: float) -> Floats:
     return simpson_inverse(difference(values, rate))
 
 
+def mean_of_held(values: Floats, share: float) -> Floats:
+    """Values whose Simpson average is the mean of the two periods about a row, which `difference` of an integral has.
+
+    share: of a period's later row in its mean; 0 for values (n, k) that hold from their row on, 1 up to their row.
+    """
+    means = values.copy()
+    means[1:-1] = ((1 - share) * values[:-2] + values[1:-1] + share * values[2:]) / 2
+    return simpson_inverse(means)
+
+
 def delayed(values: Floats, rate: float, delay: float) -> Floats:
     """values (n, k) as they were `delay` s ago, linear between samples; the first one before them."""
     if delay == 0.0:

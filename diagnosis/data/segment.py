@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.decimating_filter import filtered_rows
-from diagnosis.data.filters import advanced, decimated_rows, decimation, rate_of_change, simpson_inverse
+from diagnosis.data.filters import (
+    advanced,
+    decimated_rows,
+    decimation,
+    mean_of_held,
+    rate_of_change,
+    simpson_inverse,
+)
 from diagnosis.data.pose import pose_source
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
@@ -40,6 +47,8 @@ class Segment:
     specific_force: (n, 3) m/s^2, None if not logged.
     rotor_speed: (n, rotors) rad/s.
     rotor_source: what the rotor speeds were taken from.
+    rotor_share: of the later row in the mean of measured rotor speeds between two rows, where these hold a value or
+        settle within the period; None where they change smoothly through the rows.
     battery_ratio: (n,) voltage over the full battery's, None if not logged.
     pose_source: whether the pose is motion capture's or an estimator's, which used the accelerometer.
     lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
@@ -64,6 +73,7 @@ class Segment:
     filters: FilterThresholds = DEFAULT.filters
     carried_mass: float = 1.0
     without_noise: Segment | None = None
+    rotor_share: float | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -134,6 +144,11 @@ class Segment:
     def driving(self) -> Floats:
         """(n, 13 + rotors + 2) what drives hidden states: smooth state, rotor speeds and environment."""
         return np.vstack([self.smooth.T, self.rotor_speed.T, self.environment.T]).T
+
+    @cached_property
+    def mean_rotor_speed(self) -> Floats:
+        """(n, rotors) speeds by which velocities and rates change: their Simpson average is the mean speed, rad/s."""
+        return self.rotor_speed if self.rotor_share is None else mean_of_held(self.rotor_speed, self.rotor_share)
 
     @cached_property
     def rotor_acceleration(self) -> Floats:

@@ -30,6 +30,7 @@ from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
+BY_MEANS = (slice(3, 6), slice(9, 12))  # of a model's outputs: angular acceleration, and force that the pose shows
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 MAX_KEPT = 256  # structures whose functions are kept
 MAX_FOLLOWED = 24  # sets of hidden states that are kept of a segment
@@ -77,8 +78,8 @@ class Predictor:
     def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
         """The model's prediction along a segment."""
         p, ages = self._values_and_ages(changed)
-        outputs = self._functions.evaluate(*self._arguments(_at_age(segment, ages[2]), p, None, None))
-        return Prediction.from_outputs(outputs, ages)
+        outputs = self._evaluated(self._functions.evaluate, _at_age(segment, ages[2]), p, None, None)
+        return Prediction.from_outputs(outputs[:, 0], ages)
 
     def slopes(
         self,
@@ -95,10 +96,26 @@ class Predictor:
         """
         names = self.free if free is None else tuple(free)
         p, ages = self._values_and_ages(changed)
-        arguments = self._arguments(_at_age(segment, ages[2]), p, rotor_speed, rotor_acceleration)
-        columns = _functions_of(self.model, names).slopes(*arguments)
-        parts = columns.reshape(len(columns), len(names), 12)
+        slopes, moved = _functions_of(self.model, names).slopes, _at_age(segment, ages[2])
+        parts = self._evaluated(slopes, moved, p, rotor_speed, rotor_acceleration)
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
+
+    def _evaluated(
+        self, function: RowFunction, segment: Segment, p: Floats, speed: Floats | None, acceleration: Floats | None
+    ) -> Floats:
+        """(n, k, 12) outputs of a function, or their slopes.
+
+        The logged rotor speeds act on velocities and rates by their mean over the periods about a row. An accelerometer
+        reads the rotors of its instant.
+        """
+        values = _by_prediction(function(*self._arguments(segment, p, speed, acceleration)))
+        if speed is not None or segment.rotor_share is None:
+            return values
+        arguments = self._arguments(segment, p, segment.mean_rotor_speed, acceleration)
+        of_means = _by_prediction(function(*arguments))
+        for place in BY_MEANS:
+            values[:, :, place] = of_means[:, :, place]
+        return values
 
     def _values_and_ages(self, changed: Mapping[str, float] | None) -> tuple[Floats, Floats]:
         p = self.values(changed)
@@ -222,6 +239,11 @@ class Predictor:
         with np.errstate(all="ignore"):
             hidden = np.vstack([initial, self._functions.advance(count)(initial, here[:-1], here[1:], p, period)])
         return hidden if stride == 1 else _between(hidden, stride, len(segment))
+
+
+def _by_prediction(columns: Floats) -> Floats:
+    """(n, k, 12) from (n, 12 k)."""
+    return columns.reshape(len(columns), columns.shape[1] // 12, 12)
 
 
 _followed: WeakKeyDictionary[Segment, dict[Hashable, Floats]] = WeakKeyDictionary()  # hidden states along segments

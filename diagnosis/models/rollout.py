@@ -1,7 +1,8 @@
 """Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
 
-Between two rows the rotors' speeds, or commands, change linearly; where their speed is measured the rotors accelerate
-as measured. Faults of sensors that the model holds are removed from the readings first.
+Between two rows the rotors' speeds, or commands, change linearly, about the mean that the segment has; where their speed
+is measured the rotors accelerate as measured. Faults of sensors that the model holds are removed from the readings
+first.
 """
 
 from __future__ import annotations
@@ -84,8 +85,10 @@ class Simulator:
         measured = self.predictor.states(segment, p)
         rows = np.asarray(starts, dtype=np.int64)[:, None] + np.arange(steps + 1)
         here, there = rows[:, :-1], rows[:, 1:]
-        speed = (segment.rotor_speed[here] + segment.rotor_speed[there]) / 2
-        acceleration = (segment.rotor_speed[there] - segment.rotor_speed[here]) * segment.rate
+        share = 0.5 if segment.rotor_share is None else segment.rotor_share
+        before, after = segment.rotor_speed[here], segment.rotor_speed[there]
+        speed = (1 - share) * before + share * after
+        acceleration = (after - before) * segment.rate
         states = np.empty((len(rows), steps + 1, measured.shape[1]))
         states[:, 0] = measured[rows[:, 0]]
         return SimulatedWindows(states, np.concatenate([speed, acceleration], axis=2), segment.environment[here], rows)

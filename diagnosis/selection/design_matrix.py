@@ -257,7 +257,8 @@ def _predictions(
     first = group.candidates[0]
     if first.fixed_shape:
         return [(first.columns[0], group.predictor.predict(segment, first.values), first)]
-    scaled = instruments.rotor_speed if instrumented else instruments.logged
+    logged = instruments.logged if segment.rotor_share is None else None  # the predictor's own, with their means
+    scaled = instruments.rotor_speed if instrumented else logged
     speed = scaled if group.scale_rotors else None
     acceleration = instruments.rotor_acceleration if instrumented else None
     values = {name: value for c in group.candidates for name, value in c.values.items()}

@@ -35,6 +35,7 @@ from diagnosis.thresholds.readings import (
     NoiseThresholds,
     PoseThresholds,
     PredictionThresholds,
+    RotorHoldThresholds,
     RotorMomentChecks,
     SegmentThresholds,
 )
@@ -56,6 +57,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     command_curve: CommandCurveThresholds = CommandCurveThresholds()
     data_checks: DataChecks = DataChecks()
     rotor_moments: RotorMomentChecks = RotorMomentChecks()
+    rotor_hold: RotorHoldThresholds = RotorHoldThresholds()
     prediction: PredictionThresholds = PredictionThresholds()
     noise: NoiseThresholds = NoiseThresholds()
     pose: PoseThresholds = PoseThresholds()
@@ -104,6 +106,7 @@ __all__ = [
     "RelevanceThresholds",
     "ResidualTestThresholds",
     "RivalThresholds",
+    "RotorHoldThresholds",
     "RotorMomentChecks",
     "SearchThresholds",
     "SegmentThresholds",
