@@ -17,6 +17,7 @@ from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
+    explained_motion,
     reduced_chi_square,
     residuals_in,
     sensors_floor,
@@ -296,7 +297,7 @@ class _Judgement:
             tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, erring=erring)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
-        rejected = self._rejected(accepted, tests, after, gusty=gusty)
+        rejected = self._rejected(accepted, tests, after, fitted, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
     def _erring_rows(self, accepted: Accepted, fitted: list[Floats]) -> Callable[[], list[ErringRows]] | None:
@@ -330,14 +331,16 @@ class _Judgement:
         return accepted, judged
 
     def _rejected(
-        self, accepted: Accepted, tests: ResidualTests, after: list[Floats], *, gusty: bool
+        self, accepted: Accepted, tests: ResidualTests, after: list[Floats], fitted: list[Floats], *, gusty: bool
     ) -> tuple[Rejection, ...]:
         """The tests that reject, and that by typical held-out windows unless the model has a swinging load."""
         regression, typical = self._regression, None
         if not _swings(accepted, regression.thresholds.verdict):
             typical = typical_chi_square(self._before, regression), typical_chi_square(after, regression)
         tests_before = self._tests_before if accepted.fit.candidates else tests
-        return rejections(tests, tests_before, typical, gusty=gusty, thresholds=regression.thresholds.verdict)
+        limits = regression.thresholds
+        slight = limits.relevance.min_motion * explained_motion(self._dataset.fitted, fitted)
+        return rejections(tests, tests_before, typical, gusty=gusty, thresholds=limits.verdict, slight=slight)
 
     @cached_property
     def _tests_before(self) -> ResidualTests:

@@ -190,12 +190,14 @@ def rejections(
     *,
     gusty: bool,
     thresholds: VerdictThresholds = DEFAULT.verdict,
+    slight: Floats | None = None,
 ) -> tuple[Rejection, ...]:
     """The tests of the residuals that reject, and find something large enough to matter.
 
     after, before: residual tests with the effects and without them.
     chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
         be predicted on wild flights.
+    slight: (12,) RMS in each channel below which a finding does not matter, whatever the floor.
     gusty: whether a gust is among the effects. What it leaves is compared with it then (`run_residual_tests`), and must
         exceed it. That the state or the position predicts residuals has refused the gust before (`gust_refusal`).
     """
@@ -220,6 +222,9 @@ def rejections(
         limits["typical_window"] = limit(thresholds.max_chi_square, chi_squares[0], over_floor)
 
     def matters(test: str) -> bool:
+        finding = after.findings.get(test)
+        if slight is not None and finding is not None and finding.rms < slight[finding.channel]:
+            return False
         in_air = gusty and test != "spectral_line"
         return after.over_floor(test) > (thresholds.min_over_gust if in_air else thresholds.min_over_floor)
 

@@ -171,7 +171,7 @@ class NominalWrench:
         return lagged(segment.rotor_speed, segment.rate, self._lag) ** 2
 
     def of_effects(self, segment: Segment) -> tuple[Floats, Floats]:
-        """The effects: (n,) specific force along body z and (n, 3) moment of the effects; zero where no pose was logged."""
+        """Specific force along body z (n,) and moment (n, 3) of the effects; zero where no pose was logged."""
         count = len(segment)
         if not segment.has_pose or not self._model.effects:
             return np.zeros(count), np.zeros((count, 3))

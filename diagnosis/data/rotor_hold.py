@@ -1,9 +1,9 @@
 """How rotor speeds and commands go on between two rows of a log: smoothly, or in steps that a controller makes.
 
 A controller that is no faster than the log holds its command from one row to the next. A rotor then settles within the
-period, s(t) = u + (s_0 - u) exp(-t / tau), and its mean speed is (1 - a) s_0 + a s_1 with a from 1/2 (a slow rotor) to 1
-(one that is there at once), whatever the step; a command that is logged as it is sent has a = 0. What turns and moves
-the vehicle between two rows is that mean, what an accelerometer reads is the speed at its instant. Read as smooth, the
+period, s(t) = u + (s_0 - u) exp(-t / tau), and its mean speed is (1 - a) s_0 + a s_1 with a from 1/2 (a slow rotor) to
+1 (one that is there at once), whatever the step; speeds that hold from their row on have a = 0. What moves the
+vehicle between two rows is that mean, what an accelerometer reads is the speed at its instant. Read as smooth, the
 moments are (a - 1/2) periods early, which looks like damping, rotors' inertia and lag.
 
 Which of both holds is asked of the rotation about roll and pitch, with everything else that may turn the vehicle freed:

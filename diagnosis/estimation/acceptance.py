@@ -22,6 +22,7 @@ from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange, total_change
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
+from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import look_alikes, resample_share, rivals_of
@@ -229,6 +230,8 @@ class _Trial:
             numbers = {"before": change.before, "after": change.after, "floor": change.floor}
             replaced = _strength(self._alone(best, candidate)) >= limits.min_rise
             return refused("redundant" if replaced else "too_small", strongest, **numbers)
+        if candidate.effect.moves_vehicle and (slight := self._slight(best, candidate)) is not None:
+            return slight
         alone = self._alone(best, candidate).get("imu") if _is_force(candidate) else None
         if alone is not None and alone.is_contradicted(limits):
             numbers = {"before": alone.before, "after": alone.after, "floor": alone.floor, "size": alone.size}
@@ -248,6 +251,16 @@ class _Trial:
         if self._resampled and share < limits.min_agreement:
             return refused("few_resamples", share=share, required=limits.min_agreement)
         return None
+
+    def _slight(self, best: Fit, candidate: Candidate) -> Refused | None:
+        """The refusal of an effect that changes next to nothing of the motion of any channel; None of another one."""
+        fewer = self._lacking(best, candidate)
+        judge = self._held_out if self._shows(self._held_out, best.vehicle, fewer) else self._others
+        shares = judge.shares_of_motion(fewer, best.vehicle)[list(self._regression.noise.active)]
+        if not shares.max() < self._limits.min_motion:
+            return None
+        kind = channels.KINDS[self._regression.noise.active[int(np.argmax(shares))] // channels.AXES]
+        return refused_of(best, candidate, "slight", kind, share=float(shares.max()), required=self._limits.min_motion)
 
     def _matters_where_fitted(self, best: Fit, candidate: Candidate) -> bool:
         """Whether an effect that may be too small on what is held out matters on the fitted flights."""

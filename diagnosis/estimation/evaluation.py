@@ -167,3 +167,9 @@ def errs_as_assumed(regression: Regression, vehicle: Vehicle) -> bool:
 def floor_norms(floor: Floats) -> dict[str, float]:
     """Noise floor of each kind from a floor (12,): norm over its three axes, 0 where the kind is absent."""
     return dict(zip(channels.KINDS, np.sqrt(channels.squared_by_kind(floor)).tolist(), strict=True))
+
+
+def explained_motion(segments: Sequence[Segment], rows: Sequence[Floats]) -> Floats:
+    """(12,) RMS of what a model predicts about its mean, a standing bias and the weight aside. rows: its residuals."""
+    explained = np.vstack([channels.measured(s) - y for s, y in zip(segments, rows, strict=True)])
+    return np.asarray(np.std(explained, axis=0))

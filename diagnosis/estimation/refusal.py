@@ -21,9 +21,10 @@ Reason = Literal[
     "overshadowed",
     "predictable",
     "late_signal",
+    "slight",
 ]
 TOO_SMALL: tuple[Reason, ...] = ("too_small", "redundant")  # what is held out hardly shows it
-HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed", "late_signal")
+HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed", "late_signal", "slight")
 
 
 class Refused(msgspec.Struct, frozen=True):
@@ -45,8 +46,13 @@ class Refused(msgspec.Struct, frozen=True):
 
     @property
     def is_hint(self) -> bool:
-        """Whether it may be there: these flights are too few to say."""
+        """Whether it may be there: these flights are too few to say, or it changes next to nothing."""
         return self.reason in HINTS
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a further flight could say whether it is there, and it would matter."""
+        return self.is_hint and self.reason != "slight"
 
 
 def reason_of(refused: Refused) -> str:
@@ -62,6 +68,11 @@ def reason_of(refused: Refused) -> str:
             text = (
                 f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "
                 f"{number['before']} to {number['after']}, its noise floor is {number['floor']}"
+            )
+        case "slight":
+            text = (
+                f"it changes the motion that the model explains by {number['share']} of it at most, in "
+                f"{refused.where}; below {number['required']} nothing that flies differs"
             )
         case "redundant":
             text = "the vehicle file's own effects, fitted again, explain as much"

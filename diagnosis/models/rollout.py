@@ -1,8 +1,8 @@
 """Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
 
-Between two rows the rotors' speeds, or commands, change linearly, about the mean that the segment has; where their speed
-is measured the rotors accelerate as measured. Faults of sensors that the model holds are removed from the readings
-first.
+Between two rows the rotors' speeds, or commands, change linearly, about the mean that the segment has; where their
+speed is measured the rotors accelerate as measured. Faults of sensors that the model holds are removed from the
+readings first.
 """
 
 from __future__ import annotations

@@ -44,8 +44,10 @@ def made(late: float, noise: float, seed: int) -> list[_Rows]:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_delay_is_found_with_its_deviation_and_none_where_there_is_none(seed):
     there, none = (_Delay.of(made(late, 0.02, seed), LIMITS) for late in (0.15, 0.0))
-    assert there is not None and none is not None
-    assert abs(there.rows - 0.15) < 4 * there.std and there.deviations > LIMITS.deviations
+    assert there is not None
+    assert none is not None
+    assert abs(there.rows - 0.15) < 4 * there.std
+    assert there.deviations > LIMITS.deviations
     assert there.gain > LIMITS.min_gain > none.gain
     assert none.deviations < LIMITS.deviations
 
@@ -54,7 +56,9 @@ def test_speeds_that_are_late_in_thrust_too_have_a_late_clock():
     rotation = _Delay.of(made(0.4, 0.02, 1), LIMITS)
     thrust = _Delay.of(made(0.4, 0.02, 2), LIMITS)
     instant = _Delay.of(made(0.0, 0.02, 3), LIMITS)
-    assert rotation is not None and thrust is not None and instant is not None
+    assert rotation is not None
+    assert thrust is not None
+    assert instant is not None
     assert _is_late(rotation, thrust, LIMITS)
     assert not _is_late(rotation, instant, LIMITS)
     vague = replace(thrust, rows=0.3, std=2.0)
