@@ -48,6 +48,11 @@ class Event(Enum):
     CLOCK_BACKWARDS = "clock_backwards"
     LINK_LOST = "link_lost"
     SETPOINT_REFUSED = "setpoint_refused"
+    OTHER_CONTROLLER = "other_controller"
+    HOST_STALLED = "host_stalled"
+    HOST_STARVED = "host_starved"
+    LINK_JITTER = "link_jitter"
+    LINK_UNSTEADY = "link_unsteady"
     DISARMED = "disarmed"
     MODE_CHANGED = "mode_changed"
     THRUST_LIMIT = "thrust_limit"
@@ -134,6 +139,24 @@ POLICIES: Mapping[Event, Policy] = {
     ),
     Event.SETPOINT_REFUSED: Policy(
         "the vehicle does not act on setpoints", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
+    ),
+    # present from the first sign on: a mode that somebody changed shows in a HEARTBEAT within a second
+    Event.OTHER_CONTROLLER: Policy(
+        "another controller commands the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, 1.1, clear_after=NEVER
+    ),
+    Event.HOST_STALLED: Policy("this computer did not run the control loop", Severity.WARNING),
+    Event.HOST_STARVED: Policy(
+        "this computer is too busy to control the vehicle",
+        Severity.CRITICAL,
+        Fallback.STOP_STREAMING,
+        clear_after=NEVER,
+    ),
+    Event.LINK_JITTER: Policy("the link delivers irregularly", Severity.WARNING, onset=0.2),
+    Event.LINK_UNSTEADY: Policy(
+        "the link delivers too irregularly to control the vehicle",
+        Severity.CRITICAL,
+        Fallback.STOP_STREAMING,
+        clear_after=NEVER,
     ),
     Event.DISARMED: Policy("the vehicle disarmed", Severity.CRITICAL),
     Event.MODE_CHANGED: Policy("the vehicle left OFFBOARD", Severity.CRITICAL),

@@ -25,6 +25,7 @@ from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
 from runtime.flight.ground_contact import GroundContact
 from runtime.flight.health import FlightHealth, FrozenEstimate
 from runtime.flight.mission import LANDING, Mission, Phase
+from runtime.flight.parting import Parting
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.start_pose import StartPose
 from runtime.flight.takeoff import HandOver, TakeoffRamp
@@ -33,6 +34,7 @@ from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
+STOPPED = "stopped streaming at once"
 SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
@@ -84,6 +86,7 @@ class Flyer:
         self._chain = FallbackChain(settings.bounds)
         self._health, self._frozen = FlightHealth(vehicle, settings.health), FrozenEstimate()
         self._hold = LevelHold(vehicle.weight)
+        self._parting = Parting(self._hold, settings.period)
         self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
         self._ground = GroundContact(vehicle, settings.period)
         self._start_pose = StartPose()
@@ -110,8 +113,9 @@ class Flyer:
 
     @property
     def over(self) -> bool:
-        """Whether the flight is over: flown and given up, or refused."""
-        return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
+        """Whether the flight is over: flown and given up, or refused, and its last setpoints sent."""
+        ended = not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
+        return ended and not self._parting.active
 
     @property
     def landed(self) -> bool:
@@ -170,10 +174,15 @@ class Flyer:
         decision.event_changes += self.events.update(self._findings(observation, estimate), observation.time)
         self._probe_ground(decision.event_changes, observation.time)
         decision.fallback = self._choose_fallback(observation.time)
+        was_streaming, was_flying = self.engagement.streaming, self.engagement.flying
         self._engage(observation, decision)
         if self.engagement.streaming:
+            self._parting.cancel()
             self._command(observation, decision)
-        else:
+        elif was_streaming:
+            self._part(observation, decision, flown=was_flying)
+        if not self.engagement.streaming:
+            self._send_last(observation, decision)
             self._health.rest()
         return decision
 
@@ -389,9 +398,8 @@ class Flyer:
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
-        given_up = was_flying and not self.engagement.streaming and facts.armed and facts.offboard
-        if given_up and self.mission.phase in LANDING:
-            decision.requests = (AutopilotRequest.LAND,)  # its failsafe may return to launch, and climb
+        if observation.stop:
+            decision.transitions += self.engagement.release(STOPPED, observation.time)
         if self.engagement.state is State.ENGAGED and not was_flying:
             self._begin(observation)
         if self.engagement.flying and self._state is not None:
@@ -445,7 +453,10 @@ class Flyer:
             self._fly(observation, decision)
         if self.engagement.flying:
             self._look_for_ground(observation, decision.collective_thrust)
-        self._finish(observation, decision)
+        if self.engagement.streaming and decision.rate_body is not None:
+            self._finish(observation, decision, decision.rate_body)
+        else:
+            decision.rate_body = None
 
     def _stand_by(self, decision: Decision) -> None:
         """Setpoints before control is taken: idle on the ground, level and hovering in the air."""
@@ -575,15 +586,46 @@ class Flyer:
         else:
             self._pending |= self._ground.missing_ground(time)
 
-    def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
-        """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
-        if decision.rate_body is None or not self.engagement.streaming:
-            decision.rate_body = None
+    # --- the end of the stream
+
+    def _part(self, observation: ObservationRecord, decision: Decision, *, flown: bool) -> None:
+        """Begin the last setpoints of a stream that has just ended, and hand a vehicle in the air to a mode that lands.
+
+        Its failsafe may return to launch, and climb. Who changed the mode, or commands the vehicle as well, keeps it.
+        """
+        if not observation.armed:
             return
-        limited = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
+        thrust = self._held_thrust(observation, flown=flown)
+        aloft = thrust >= self._vehicle.weight
+        self._parting.begin(observation.time, thrust, levels=aloft and observation.offboard)
+        if aloft and flown and observation.offboard and Event.OTHER_CONTROLLER not in self.events.active:
+            decision.requests = (AutopilotRequest.LAND,)
+
+    def _held_thrust(self, observation: ObservationRecord, *, flown: bool) -> float:
+        """Collective thrust that may be held when the stream ends now, N: the weight in the air, none on the ground."""
+        if not observation.armed:
+            return 0.0
+        if not flown:
+            return 0.0 if observation.landed or not self.engagement.initially_armed else self._vehicle.weight
+        if self.mission.airborne or (self.mission.phase is Phase.CONTACT and self._probe_cause):
+            return self._vehicle.weight
+        return self._last_setpoint[1] if self.mission.phase is Phase.CONTACT else 0.0
+
+    def _send_last(self, observation: ObservationRecord, decision: Decision) -> None:
+        if not observation.armed:
+            self._parting.cancel()
+        if self._parting.active:
+            rate_body, decision.collective_thrust = self._parting.command(observation.time)
+            self._finish(observation, decision, rate_body)
+
+    def _finish(self, observation: ObservationRecord, decision: Decision, rate_body: Floats) -> None:
+        """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
+        limited = zip(rate_body.tolist(), self._rate_limit, strict=True)
         decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in limited])
         decision.collective_thrust = min(max(decision.collective_thrust, 0.0), self._thrust_limit)
         decision.thrust = self._thrust_map.setpoint(decision.collective_thrust, self.effectiveness.value)
+        held = self._held_thrust(observation, flown=self.engagement.flying or self._parting.active)
+        decision.held_thrust = self._thrust_map.setpoint(held, self.effectiveness.value)
         self._last_setpoint = (decision.rate_body, decision.collective_thrust)
         self._sent = (decision.rate_body, decision.collective_thrust, decision.thrust, observation.time)
 
