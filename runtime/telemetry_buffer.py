@@ -20,6 +20,7 @@ from runtime.link.link import Direction, LinkCallbacks
 from runtime.link.peer import Reaction
 from runtime.link.rates import arrival_rate
 from runtime.link.rotors import RotorReader, RotorReading
+from runtime.link.setpoint_echo import SetpointEcho
 from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -78,6 +79,7 @@ class TelemetryBuffer:
 
     texts: the vehicle's STATUSTEXTs, for the supervisor.
     notifications: events of the link, for the supervisor.
+    echo: of setpoints, for the control thread.
     rotor_reader: of the messages about motors; None where nobody needs their speeds.
     """
 
@@ -89,6 +91,7 @@ class TelemetryBuffer:
         self._force = NO_FORCE
         self._rotors: RotorReading | None = None
         self._voltage = nan
+        self.echo = SetpointEcho()
         self.rotor_reader: RotorReader | None = None
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
@@ -119,6 +122,8 @@ class TelemetryBuffer:
             self._estimate(reaction.estimate)
         if reaction.telemetry is not None:
             self._telemetry(reaction.telemetry)
+        if reaction.setpoint is not None:
+            self.echo.report(reaction.setpoint)
         for text in reaction.texts:
             self.texts.append(text.text)
             self._put(TextRecord(text.received, "vehicle", text.severity, text.text), text.received)

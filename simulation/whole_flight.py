@@ -6,6 +6,7 @@ sends them (every second or third of its steps of 4 ms), with the estimator's er
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,6 +33,7 @@ from runtime.flight.thrust import rotor_speed
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.odometry import Odometry
 from runtime.link.rotors import RotorReader, RotorReading, motor_of_rotors
+from runtime.link.setpoint_echo import SetpointEcho, SetpointReport
 from runtime.link.telemetry import EstimatorSample, MotorOutputs, RotorSpeeds, decode_telemetry
 from runtime.record.records import ObservationRecord
 from runtime.telemetry_buffer import LINK_EVENTS
@@ -46,6 +48,7 @@ from sitl_mock.wire.status_messages import esc_status, estimator_status, servo_o
 from sitl_mock.wire.streams import TOLERANCE
 
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
+REPORT_PERIOD = 0.05  # s between two ATTITUDE_TARGET
 ESTIMATOR_PERIOD = 0.5  # s between two ESTIMATOR_STATUS
 WAITING = 3.0  # s that the vehicle stands before it is engaged
 ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
@@ -185,6 +188,8 @@ class Lockstep:
     """The loop of ticks between one autopilot and one flyer.
 
     autopilot, vehicle, flyer: of the flight, for those who watch it.
+    stall: s for which this computer misses all ticks from the next one on.
+    jitter: s by which the link may delay each message, in both directions, in order.
     """
 
     def __init__(
@@ -208,6 +213,13 @@ class Lockstep:
             self._rotor_reader = RotorReader(order, partial(rotor_speed, rotors=geometry))
         self._estimator_findings: dict[Event, str] = {}
         self._estimator_due = 0.0
+        self.stall = 0.0
+        self.jitter = 0.0
+        self._random = np.random.default_rng(0)
+        self._wire: deque[tuple[float, Odometry]] = deque()
+        self._arrival = self._setpoint_arrival = 0.0
+        self._echo = SetpointEcho()
+        self._reported = 0.0
         self._tick = 0
         self._due = autopilot.time
         self._in_air_since = float("inf")
@@ -235,10 +247,13 @@ class Lockstep:
 
     def _next_estimate(self) -> None:
         """Advance to the step in which PX4 sends the next estimate of a stream of the control rate."""
-        self._due += CONTROL_PERIOD
+        self._due += max(CONTROL_PERIOD, self.stall)
+        stalled, self.stall = self.stall, 0.0
         while self.autopilot.time < self._due - TOLERANCE:
             self.autopilot.step()
             self._note_arming()
+        if stalled:
+            self._due = self.autopilot.time
         if not self.autopilot.estimate_fault.stopped:
             self._receive()
 
@@ -249,9 +264,27 @@ class Lockstep:
         motion, taken = snapshot.motion, round(1000 * self.vehicle.estimate.time) / 1000
         wire = (*motion.position, *motion.attitude, *motion.velocity, *motion.rate)
         odometry = Odometry(taken, wire, LOCAL_NED, LOCAL_NED, snapshot.reset_counter)
-        check = self._monitor.handle_odometry(odometry, taken, now, True)
+        self._arrival = max(self._arrival, now + self._delay())
+        self._wire.append((self._arrival, odometry))
+        while self._wire and self._wire[0][0] <= now:
+            _, odometry = self._wire.popleft()
+            self._take(odometry, now)
+        self._report_setpoint(snapshot, now)
         self._report_estimator(snapshot, now)
         self._report_rotors(snapshot, now)
+
+    def _delay(self) -> float:
+        return float(self._random.uniform(0.0, self.jitter)) if self.jitter else 0.0
+
+    def _report_setpoint(self, snapshot: Snapshot, now: float) -> None:
+        """Take what the autopilot follows, as often as ATTITUDE_TARGET is requested."""
+        if now - self._reported >= REPORT_PERIOD:
+            self._reported = now
+            roll, pitch, yaw = snapshot.setpoint.rate
+            self._echo.report(SetpointReport(now, (roll, -pitch, -yaw), snapshot.setpoint.thrust))
+
+    def _take(self, odometry: Odometry, now: float) -> None:
+        check = self._monitor.handle_odometry(odometry, odometry.time, now, True)
         self._check = check if check.event or check.step is not None else self._check
         self._estimate = check.estimate or self._estimate
 
@@ -288,6 +321,9 @@ class Lockstep:
         name = (check.event or "") if check is not None else ""
         findings = {LINK_EVENTS[name]: check.text} if check is not None and name in LINK_EVENTS else {}
         findings |= self._estimator_findings
+        judged = commander.armed and commander.mode is Mode.OFFBOARD and self.flyer.engagement.flying
+        if other := self._echo.finding(now, judged=judged):
+            findings[Event.OTHER_CONTROLLER] = other
         if not commander.landed:
             self._in_air_since = min(self._in_air_since, now)
         leaves = self._leave_after is not None and now - self._in_air_since > self._leave_after
@@ -345,7 +381,10 @@ class Lockstep:
             self._note_arming()
         if decision.rate_body is not None:
             setpoint = ControlSetpoint("rates", rate_body=decision.rate_body.copy(), thrust=decision.thrust)
-            autopilot.commander.offboard.feed(autopilot.time + LATENCY, setpoint)
+            self._setpoint_arrival = max(self._setpoint_arrival, autopilot.time + LATENCY + self._delay())
+            autopilot.commander.offboard.feed(self._setpoint_arrival, setpoint)
+            x, y, z = decision.rate_body.tolist()
+            self._echo.sent(round(1000 * autopilot.time) / 1000, (x, y, z), decision.thrust)
 
 
 def _state_of(motion: MotionState) -> Floats:

@@ -16,6 +16,7 @@ from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation import Adaptation, FollowedValue
 from runtime.control.controller import Command, Controller
+from runtime.flight.attribution import Attribution
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.contact import Ground, GroundProbe, tilt_of
 from runtime.flight.decision import Decision, Ending, FlyerSettings
@@ -34,6 +35,7 @@ from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
+FAILSAFE_TIME = 0.3  # s without a setpoint, after which an autopilot's failsafe may act (COM_OF_LOSS_T is not less)
 STOPPED = "stopped streaming at once"
 SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
@@ -97,6 +99,7 @@ class Flyer:
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
         self._velocity = ConsistentVelocity()
+        self._attribution = Attribution(settings.period)
         self._observed: ObservationRecord | None = None
         self._received: StateEstimate | None = None
         self._estimate: StateEstimate | None = None
@@ -168,6 +171,7 @@ class Flyer:
             decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
         self._received = estimate
+        self._attribution.observe(observation.time, estimate, fresh=fresh)
         if estimate is not None:
             estimate = self._velocity.correct(estimate, moved=observation.reset) if fresh else self._estimate
         self._take_estimate(observation, estimate, fresh)
@@ -338,7 +342,9 @@ class Flyer:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
             elif not observation.offboard:
                 present[Event.MODE_CHANGED] = f"to {observation.mode}"
-        return present
+                if (stood_still := self._attribution.standstill) > FAILSAFE_TIME:
+                    present[Event.MODE_CHANGED] += f", after this computer stood still for {stood_still:.1f} s"
+        return self._attribution.attribute(present) if self.engagement.flying else present
 
     def _rotor_findings(self, adaptation: Adaptation) -> dict[Event, str]:
         """Rotors that have lost thrust, or have a load under them: both take the same force at the same place away.

@@ -205,10 +205,15 @@ class Link:
         rate_body: FLU, rad/s. thrust: 0..1, clipped. Returns whether it was sent: a value that is not finite is
         refused, because PX4 counts it as a sign of life (docs/px4.md).
         """
-        x, y, z = (float(value) for value in rate_body)
-        if not (isfinite(x) and isfinite(y) and isfinite(z) and isfinite(thrust)):
+        if not (all(map(isfinite, rate_body)) and isfinite(thrust)):
             return False
-        message = mavlink.MAVLink_set_attitude_target_message(
+        message = self.rate_setpoint(rate_body, thrust)
+        return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
+
+    def rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> Message:
+        """SET_ATTITUDE_TARGET with body rates, FLU, rad/s, and thrust, 0..1, clipped; all finite."""
+        x, y, z = (float(value) for value in rate_body)
+        return mavlink.MAVLink_set_attitude_target_message(
             int(time.monotonic() * 1e3) & 0xFFFFFFFF,
             *(self.peer.address or (0, 0)),
             _RATES_AND_THRUST,
@@ -218,7 +223,6 @@ class Link:
             -z,
             min(1.0, max(0.0, float(thrust))),
         )
-        return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
 
     def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT of any length."""

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import nan
 
 import msgspec
 
 from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
-from runtime.link.dialect import Message, mavlink
+from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link.estimate import EstimateCheck, EstimateLimits, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.framing import Frame
 from runtime.link.odometry import Odometry, read_odometry
 from runtime.link.rates import RateMeter
+from runtime.link.setpoint_echo import SETPOINTS, SetpointReport
 from runtime.link.telemetry import BatterySample, LinkEvent, LinkSeverity, Telemetry, Text, VehicleStatus
 from runtime.link.texts import TextAssembler
 
 _EVENT_PERIOD = 1.0  # s until an event of the same name is published again
 _MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
+_SETPOINT_IDS = frozenset(MESSAGE_IDS[name] for name in SETPOINTS)
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
 
@@ -30,6 +33,7 @@ class Reaction(msgspec.Struct):
     answers: messages to send.
     events: of the link.
     texts: complete STATUSTEXTs.
+    setpoint: that the autopilot reports to follow, or that another sender sends.
     """
 
     estimate: StateEstimate | None = None
@@ -38,6 +42,7 @@ class Reaction(msgspec.Struct):
     answers: list[Message] = []
     events: list[LinkEvent] = []
     texts: list[Text] = []
+    setpoint: SetpointReport | None = None
 
 
 class Peer:
@@ -77,6 +82,7 @@ class Peer:
             "EXTENDED_SYS_STATE": self._handle_extended_state,
             "CURRENT_MODE": self._handle_current_mode,
             "STATUSTEXT": self._handle_text,
+            "ATTITUDE_TARGET": self._handle_attitude_target,
         }
 
     @property
@@ -93,6 +99,8 @@ class Peer:
             self._discover(frame.system, frame.component, frame.message, received, reaction)
         if (frame.system, frame.component) != self.address:
             self.heard.setdefault((frame.system, frame.component), "no heartbeat yet")
+            if frame.message_id in _SETPOINT_IDS:
+                reaction.setpoint = _overheard(frame, received)
             return reaction
         self.last_heard = received
         self.rates.handle(frame.message_id, received)
@@ -191,6 +199,9 @@ class Peer:
     def _handle_text(self, message: Message, received: float, reaction: Reaction) -> None:
         reaction.texts += self._texts.handle(message, received)
 
+    def _handle_attitude_target(self, message: Message, received: float, reaction: Reaction) -> None:
+        reaction.setpoint = SetpointReport(received, _rates_of(message), message.thrust)
+
     def _handle_timesync(self, message: Message, received: float, reaction: Reaction) -> None:
         if message.tc1 == 0:
             self.clock.handle_one_way(received, message.ts1 * 1e-9)
@@ -228,3 +239,15 @@ class Peer:
         reaction.estimate, reaction.reset = check.estimate, check.step
         if check.event is not None:
             reaction.events += self.limit_event(received, check.event, "warning", check.text)
+
+
+def _rates_of(message: Message) -> tuple[float, float, float]:
+    """Body rates, FLU, rad/s; NaN of a message that has none."""
+    roll, pitch, yaw = (getattr(message, f"body_{axis}_rate", nan) for axis in ("roll", "pitch", "yaw"))
+    return roll, -pitch, -yaw
+
+
+def _overheard(frame: Frame, received: float) -> SetpointReport:
+    message, sender = frame.message, (frame.system, frame.component)
+    thrust = getattr(message, "thrust", nan)
+    return SetpointReport(received, _rates_of(message), thrust, sender, message.get_type())
