@@ -39,6 +39,7 @@ LINK_EVENTS: Mapping[str, Event] = {
     "estimate_frame_refused": Event.INPUT_NOT_FINITE,
     "estimate_time_backwards": Event.CLOCK_BACKWARDS,
     "clock_ran_backwards": Event.CLOCK_BACKWARDS,
+    "estimate_stamp_ahead": Event.STAMPS_AHEAD,
     "clock_jumped": Event.CLOCK_UNCERTAIN,
     "estimate_jump": Event.ESTIMATE_JUMP,
     "estimate_moved": Event.ESTIMATOR_RESET,

@@ -46,6 +46,7 @@ class Event(Enum):
     DEADLINES_MISSED = "deadlines_missed"
     CLOCK_UNCERTAIN = "clock_uncertain"
     CLOCK_BACKWARDS = "clock_backwards"
+    STAMPS_AHEAD = "stamps_ahead"
     LINK_LOST = "link_lost"
     SETPOINT_REFUSED = "setpoint_refused"
     OTHER_CONTROLLER = "other_controller"
@@ -133,6 +134,10 @@ POLICIES: Mapping[Event, Policy] = {
     Event.CLOCK_UNCERTAIN: Policy("the vehicle's clock is uncertain", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.CLOCK_BACKWARDS: Policy(
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
+    ),
+    # the link says so once a second
+    Event.STAMPS_AHEAD: Policy(
+        "estimates are stamped in the future", Severity.ERROR, clear_after=1.5, refuses=True
     ),
     Event.LINK_LOST: Policy(
         "nothing arrives from the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, refuses=True

@@ -20,6 +20,7 @@ from runtime.link.texts import TextAssembler
 
 _EVENT_PERIOD = 1.0  # s until an event of the same name is published again
 _MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
+_MAX_STAMP_AHEAD = 0.1  # s; PX4's own simulation steps its clock by up to 18 ms, and an exchange errs by less
 _SETPOINT_IDS = frozenset(MESSAGE_IDS[name] for name in SETPOINTS)
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
@@ -141,9 +142,21 @@ class Peer:
         """Our time of a vehicle stamp, s, not after its arrival, and whether it is from the vehicle's clock."""
         if self.clock.is_valid(received):
             time = self.clock.to_ours(remote)
-            if abs(received - time) < _MAX_STAMP_AGE:
+            if time - _MAX_STAMP_AHEAD < received < time + _MAX_STAMP_AGE:
                 return min(time, received), True
         return received, False
+
+    def _check_stamp(self, message: str, remote: float, received: float, reaction: Reaction) -> None:
+        """Report a stamp of an estimate that lies in the future: its age is not known, and none is made up for it."""
+        if not self.clock.is_valid(received):
+            return
+        ahead = self.clock.to_ours(remote) - received
+        if ahead > _MAX_STAMP_AHEAD:
+            text = (
+                f"{message} is stamped {ahead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: its "
+                "age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
+            )
+            reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)
 
     def _discover(self, system: int, component: int, message: Message, received: float, reaction: Reaction) -> None:
         kind = telemetry.enum_name("MAV_TYPE", message.type, "MAV_TYPE_")
@@ -223,6 +236,7 @@ class Peer:
 
     def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
         self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
+        self._check_stamp("ODOMETRY", odometry.time, received, reaction)
         time, synchronised = self._synchronised(odometry.time, received)
         self._take(self.estimates.handle_odometry(odometry, time, received, synchronised), received, reaction)
 
@@ -233,6 +247,7 @@ class Peer:
         time, synchronised = self._synchronised(message.time_boot_ms * 1e-3, received)
         check = self.estimates.handle_attitude(message, time, received, synchronised)
         if check is not None:
+            self._check_stamp("ATTITUDE_QUATERNION", message.time_boot_ms * 1e-3, received, reaction)
             self._take(check, received, reaction)
 
     def _take(self, check: EstimateCheck, received: float, reaction: Reaction) -> None:
