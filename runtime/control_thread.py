@@ -120,7 +120,9 @@ class ControlThread:
         self._thread.start()
 
     def join(self, timeout: float) -> bool:
-        """Wait for the end. timeout: s. Returns whether the thread has ended."""
+        """Wait for the end. timeout: s. Returns whether the thread has ended, or never started."""
+        if self._thread.ident is None:
+            return True
         self._thread.join(timeout)
         return not self._thread.is_alive()
 

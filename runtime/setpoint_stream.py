@@ -1,7 +1,7 @@
 """The stream of setpoints to the autopilot: nobody else sends one, and it leaves nothing that must not be held.
 
-PX4 holds the last setpoint for COM_OF_LOSS_T. In flight the flight logic ends the stream itself (runtime.flight.parting);
-this is for everything else: a control thread that raises, hangs or dies, a supervisor that fails.
+PX4 holds the last setpoint for COM_OF_LOSS_T. The flight logic ends its stream by runtime.flight.parting; this is for
+everything else: a control thread that raises, hangs or dies, a supervisor that fails.
 """
 
 from __future__ import annotations

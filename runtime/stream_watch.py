@@ -30,7 +30,7 @@ class StreamWatch:
         self._held = self._landed = -math.inf  # the setpoint after which it was
 
     def check(self, now: float) -> str:
-        """Act on a stream that stands still. now: s, monotonic. Returns a line about what was done, empty for nothing."""
+        """Act on a stream that stands still. now: s, monotonic. Returns a line about what was done, else empty."""
         stream = self._control.stream
         silence, newest = now - stream.newest, stream.newest
         if not stream.open or silence < STANDSTILL:

@@ -1,11 +1,12 @@
-"""The cause of what a flight shows: this computer, the link, or another controller; what remains is the vehicle's. Pure.
+"""The cause of what a flight shows: this computer, the link, another controller; what remains is the vehicle. Pure.
 
 A check that compares what was sent with what happened takes for granted that both are known. Where ticks were missed,
-estimates came irregularly or somebody else's setpoints acted, they are not: then the check waits, and the cause is named.
+estimates came irregularly or somebody else's setpoints acted, they are not: the check waits, and the cause is named.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Mapping
 
@@ -63,7 +64,9 @@ class Attribution:
         named = dict(present)
         host, jitter = self._host(), self._time - self._jittery < DIRTY
         if self._stalls and self._stalls[-1][0] == self._time:
-            named[Event.HOST_STALLED] = f"for {1e3 * self._stalls[-1][1]:.0f} ms; close other programs or give it priority"
+            named[Event.HOST_STALLED] = (
+                f"for {1e3 * self._stalls[-1][1]:.0f} ms; close other programs or give it priority"
+            )
         if self._jitter:
             named[Event.LINK_JITTER] = self._jitter
         stalled = sum(gap for _, gap in self._stalls)
@@ -111,7 +114,7 @@ class Attribution:
         if len(self._arrivals) < MIN_SAMPLES:
             return ""
         times, ages = zip(*self._arrivals, strict=True)
-        gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+        gaps = [after - before for before, after in itertools.pairwise(times)]
         youngest = min(ages)
         late = sum(age > youngest + SPREAD for age in ages)
         apart = sum(gap > SPREAD for gap in gaps)

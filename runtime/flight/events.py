@@ -136,9 +136,7 @@ POLICIES: Mapping[Event, Policy] = {
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
     # the link says so once a second
-    Event.STAMPS_AHEAD: Policy(
-        "estimates are stamped in the future", Severity.ERROR, clear_after=1.5, refuses=True
-    ),
+    Event.STAMPS_AHEAD: Policy("estimates are stamped in the future", Severity.ERROR, clear_after=1.5, refuses=True),
     Event.LINK_LOST: Policy(
         "nothing arrives from the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, refuses=True
     ),

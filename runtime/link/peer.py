@@ -153,8 +153,8 @@ class Peer:
         ahead = self.clock.to_ours(remote) - received
         if ahead > _MAX_STAMP_AHEAD:
             text = (
-                f"{message} is stamped {ahead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: its "
-                "age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
+                f"{message} is stamped {ahead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: "
+                "its age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
             )
             reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)
 

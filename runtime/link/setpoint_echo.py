@@ -74,8 +74,8 @@ class SetpointEcho:
             return ""
         rates = ", ".join(f"{rate:.2f}" for rate in report.rate_body)
         return (
-            f"the autopilot follows body rates of {rates} rad/s and a thrust of {report.thrust:.2f}, which were not sent "
-            "by this program; stop the other one"
+            f"the autopilot follows body rates of {rates} rad/s and a thrust of {report.thrust:.2f}, which were not "
+            "sent by this program; stop the other one"
         )
 
 

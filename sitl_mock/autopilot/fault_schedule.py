@@ -37,7 +37,7 @@ FaultKind = Literal[
     "held",
     "effect",
 ]
-COMMAND_PERIOD = 0.02  # s between setpoints of another controller
+COMMAND_PERIOD = 0.016  # s between setpoints of another controller, whose beat is not ours
 TOUCHED = 0.1  # share of the weight that the ground carries when the vehicle has touched down
 Start = Literal["start", "arming", "takeoff", "touchdown"]
 
@@ -54,7 +54,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seconds: of a clock jump, negative for backwards; the longest delay of a frame by link_jitter.
     probability: of a frame's loss, duplication or delay.
     rate: of a message flood, frames per second.
-    setpoint: body rates, FLU, rad/s, and thrust, 0..1, that another controller sends 50 times a second.
+    setpoint: body rates, FLU, rad/s, and thrust, 0..1, that another controller sends 60 times a second.
     values: of an effect, by name: {"weak_rotor[2].loss" = 0.15}; the scenario has the effect from its start.
     """
 

@@ -1,4 +1,4 @@
-"""What disturbs control is called by its name: this computer, the link, another controller, and only then the vehicle."""
+"""Disturbances of control have their names: this computer, the link, another controller, and only then the vehicle."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Watch = Callable[[Lockstep], None]
 def fly(controllers: Controllers, watch: Watch | None = None, *faults: Fault, seed: int = 41) -> WholeFlight:
     reference = named_reference("Circle:height=2,size=1.5,speed=2", controllers.flying.trim)
     options = MockOptions(FILE, scenario=Scenario(faults=faults), seed=seed)
-    return fly_whole(options, reference, plan=PLAN, controllers=controllers, watch=watch, limit=40.0)
+    return fly_whole(options, reference, plan=PLAN, controllers=controllers, watch=watch, limit=25.0)
 
 
 def stalls(duration: float, every: float) -> Watch:
@@ -61,7 +61,9 @@ OTHER = [(0.0, 0.0, 0.0, 0.9), (2.0, -1.0, 0.0, 0.5), (0.0, 0.0, 3.0, 0.45), (0.
         pytest.param(stalls(0.12, 0.14), (), {Event.HOST_STALLED, Event.HOST_STARVED}, id="starved in short"),
         pytest.param(jitters(0.2), (), {Event.LINK_JITTER}, id="jitter"),
         *[
-            pytest.param(None, (Fault("other_controller", 4.0, "takeoff", setpoint=setpoint),), {Event.OTHER_CONTROLLER})
+            pytest.param(
+                None, (Fault("other_controller", 4.0, "takeoff", setpoint=setpoint),), {Event.OTHER_CONTROLLER}
+            )
             for setpoint in OTHER
         ],
         pytest.param(None, (), set(), id="nothing"),

@@ -1,4 +1,4 @@
-"""The last setpoint of a stream is one that an autopilot may hold: level or still, with about hover thrust in the air."""
+"""The last setpoint of a stream may be held by an autopilot: still, with about hover thrust in the air."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase as Stage, given, settings
+from hypothesis import HealthCheck, given, settings
+from hypothesis import Phase as Stage
 from hypothesis import strategies as st
 
 from dynamics.vehicle import Vehicle
@@ -102,7 +103,9 @@ def hover_thrust(flight: Flight, vehicle: Vehicle) -> float:
     return flight.thrust_map.setpoint(vehicle.weight, flight.flyer.effectiveness.value)
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), phases=[Stage.explicit, Stage.generate])
+@settings(
+    max_examples=8, deadline=None, suppress_health_check=list(HealthCheck), phases=[Stage.explicit, Stage.generate]
+)
 @given(
     fault=st.sampled_from(FAULTS),
     phase=st.sampled_from(PHASES),
