@@ -150,10 +150,10 @@ class Peer:
         """Report a stamp of an estimate that lies in the future: its age is not known, and none is made up for it."""
         if not self.clock.is_valid(received):
             return
-        ahead = self.clock.to_ours(remote) - received
-        if ahead > _MAX_STAMP_AHEAD:
+        lead = self.clock.to_ours(remote) - received
+        if lead > _MAX_STAMP_AHEAD:
             text = (
-                f"{message} is stamped {ahead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: "
+                f"{message} is stamped {lead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: "
                 "its age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
             )
             reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)

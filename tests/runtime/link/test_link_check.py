@@ -102,22 +102,22 @@ def test_a_good_link_is_ready(port: int, vehicle: StreamingVehicle) -> None:
 class HastyVehicle(StreamingVehicle):
     """A vehicle whose estimates are stamped ahead of the clock by which it answers TIMESYNC."""
 
-    ahead = 3.0
+    lead = 3.0
 
     def send_odometry(self, **overrides: Any) -> None:
-        super().send_odometry(time_usec=int((self.clock() + self.ahead) * 1e6), **overrides)
+        super().send_odometry(time_usec=int((self.clock() + self.lead) * 1e6), **overrides)
 
 
-@pytest.mark.parametrize("ahead", [3.0, 0.5, 1000.0])
-def test_estimates_from_the_future_are_refused_with_the_figure(port: int, ahead: float) -> None:
+@pytest.mark.parametrize("lead", [3.0, 0.5, 1000.0])
+def test_estimates_from_the_future_are_refused_with_the_figure(port: int, lead: float) -> None:
     vehicle = HastyVehicle(port)
-    vehicle.ahead = ahead
+    vehicle.lead = lead
     with vehicle:
         report = check(port)
     assert not report.is_ready
-    found = re.search(r"ODOMETRY is stamped (\d+\.\d+) s ahead", problems(report))
-    assert found is not None, report.problems
-    assert float(found[1]) == pytest.approx(ahead, abs=0.1)
+    figure = re.search(r"ODOMETRY is stamped (\d+\.\d+) s ahead", problems(report))
+    assert figure is not None, report.problems
+    assert float(figure[1]) == pytest.approx(lead, abs=0.1)
 
 
 def test_only_message_rates_are_requested_and_the_streams_are_reset_to_their_defaults(
