@@ -85,6 +85,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: folder for the recording, None for none.
     name: of the recording; the date and time if empty.
     system: the vehicle's system id, None for the first one heard.
+    roaming: whether the vehicle may continue from another address after a silence.
     timeout: s to wait for the vehicle.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on, None for any.
@@ -100,6 +101,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: Path | None = None
     name: str = ""
     system: int | None = None
+    roaming: bool = False
     timeout: float = 10.0
     priority: int | None = None
     processor: int | None = None
@@ -198,13 +200,16 @@ class Daemon:
             stack.callback(self._service.close)
             self._telemetry = TelemetryBuffer(self._recorder)
             self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
-            settings = LinkSettings(target_system=request.system, priority=self._scheduling.priority)
+            settings = LinkSettings(
+                target_system=request.system, roaming=request.roaming, priority=self._scheduling.priority
+            )
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             # while the link listens
             controllers = build_controllers(self._vehicle, self._bundle, self._controller_options())
             warm_up(controllers, self._reference, request.plan, rate=request.rate)
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
+            link.require_one_vehicle()
             control = self._start(link, controllers)
             stack.callback(self._stop, link, control)
             self._serve(link, control)

@@ -72,7 +72,8 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     resume: whether to take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on.
-    system: the vehicle's system id, None for the first heard.
+    system: the vehicle's system id, None for the one on the link.
+    roaming: whether the vehicle may continue from another address after a silence.
     timeout: s to wait for the vehicle, and for a pilot who is to arm; left out, the pilot has no limit.
     """
 
@@ -95,6 +96,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: int | None = None
     processor: int | None = None
     system: int | None = None
+    roaming: bool = False
     timeout: float | None = None
 
 
@@ -149,6 +151,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         ),
         record=setup.record,
         system=setup.system,
+        roaming=setup.roaming,
         timeout=VEHICLE_TIMEOUT if setup.timeout is None else setup.timeout,
         priority=setup.priority,
         processor=setup.processor,

@@ -81,7 +81,7 @@ def fly(
     *,
     vehicle: Vehicle | str | Path | None = None,
     bundle: str | Path | None = None,
-    link: str = "udpin:0.0.0.0:14540",
+    link: str = "udpin:127.0.0.1:14540",
     duration: float | None = None,
     height: float = 1.5,
     origin: Literal["takeoff", "estimate"] = "takeoff",
@@ -97,6 +97,7 @@ def fly(
     priority: int | None = None,
     processor: int | None = None,
     system: int | None = None,
+    roaming: bool = False,
     timeout: float | None = None,
     announce: Callable[[str], None] = print,
 ) -> FlightReport:
@@ -123,7 +124,8 @@ def fly(
     resume: take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
     processor: number of the processor that the control thread stays on.
-    system: the vehicle's system id; by default the first one on the link.
+    system: the vehicle's system id; by default that of the one vehicle on the link, and several are refused.
+    roaming: let the vehicle continue from another address after 2 s of silence, as behind a modem.
     timeout: longest wait for the vehicle, s, 10 by default; with arm=False also for the pilot to arm, who has no limit
         by default.
     announce: called with a line for every event.
@@ -165,6 +167,7 @@ def fly(
         priority=priority,
         processor=processor,
         system=system,
+        roaming=roaming,
         timeout=timeout,
     )
     flight = prepare_flight(setup)

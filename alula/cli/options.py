@@ -34,11 +34,22 @@ Pose = Annotated[
 ]
 
 # Of a link to a vehicle.
-LINK = "udpin:0.0.0.0:14540"
+LINK = "udpin:127.0.0.1:14540"
 LinkOption = Annotated[
-    str, typer.Option("--link", help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")
+    str,
+    typer.Option(
+        "--link",
+        help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:. 127.0.0.1 hears this machine alone, "
+        "0.0.0.0 the whole network.",
+    ),
 ]
 System = Annotated[
-    int | None, typer.Option(min=1, max=255, help="System id of the vehicle; by default the first one on the link.")
+    int | None, typer.Option(min=1, max=255, help="System id of the vehicle; needed where several are on the link.")
+]
+Roaming = Annotated[
+    bool,
+    typer.Option(
+        "--roaming", help="Let the vehicle continue from another address after 2 s of silence, as behind a modem."
+    ),
 ]
 Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")]

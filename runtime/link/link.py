@@ -212,7 +212,8 @@ class Link:
         what = "bytes that are no MAVLink, wrong baud rate?" if self.parser.skipped_bytes else "nothing at all"
         return (
             f"No MAVLink arrived on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
-            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), a telemetry port "
+            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), 127.0.0.1 hears this "
+            "machine alone (0.0.0.0 or --link with your own address: the network), a telemetry port "
             "needs MAV_1_CONFIG set and the same baud rate at both ends, and a firewall may drop UDP."
         )
 
