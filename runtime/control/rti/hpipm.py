@@ -16,7 +16,9 @@ from importlib import util
 from pathlib import Path
 
 from dynamics import symbolic
+from dynamics.codegen import is_compiled_here
 from dynamics.errors import RequestError
+from dynamics.trust import is_installed, load_given_library, load_own_library
 
 HPIPM = "libhpipm.so"
 BLASFEO = ("libblasfeo.so.0", "libblasfeo.so")  # the first that exists
@@ -88,14 +90,16 @@ def libraries_in(folder: Path) -> tuple[Path, Path] | None:
 def load_kernel(library: Path) -> ctypes.CDLL:
     """A compiled kernel, with HPIPM loaded before it: its own from beside it, else this machine's.
 
-    Raises RequestError when it does not fit this machine, or when another HPIPM is loaded in this process already.
+    Raises RequestError when it does not fit this machine, when another HPIPM is loaded in this process already, or for
+    a kernel of a bundle that the user has not approved.
     """
-    dependencies = libraries_in(library.parent) or find_hpipm().libraries
+    load = load_own_library if is_compiled_here(library) or is_installed(library) else load_given_library
+    beside = libraries_in(library.parent)
     try:
-        for dependency in dependencies:
+        for dependency in beside or find_hpipm().libraries:
             _require_same(dependency)
-            ctypes.CDLL(str(dependency))
-        return ctypes.CDLL(str(library))
+            (load if beside else load_own_library)(dependency)
+        return load(library)
     except OSError as error:
         raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
 
