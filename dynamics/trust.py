@@ -26,10 +26,11 @@ from dynamics.errors import RequestError
 
 FIRST_LINES = 8  # of what would run, in a refusal
 WIDTH = 110  # of such a line, characters
+Library = ctypes.CDLL
 ROOT = Path(__file__).resolve().parent.parent
 
 _approved: set[tuple[Kind, str]] = set()  # in this process, as the list may change meanwhile
-_libraries: dict[str, ctypes.CDLL] = {}  # of bundles, by hash
+_libraries: dict[str, Library] = {}  # of bundles, by hash
 _running = threading.RLock()  # one file at a time: the search path is another one meanwhile
 
 
@@ -85,12 +86,12 @@ def run_effect_file(file: EffectFile) -> dict[str, Any]:
     return module.__dict__
 
 
-def load_own_library(path: Path) -> ctypes.CDLL:
+def load_own_library(path: Path) -> Library:
     """A shared library of this installation, or one that was compiled here (`dynamics.codegen`). Raises OSError."""
     return ctypes.CDLL(str(path))
 
 
-def load_given_library(path: Path) -> ctypes.CDLL:
+def load_given_library(path: Path) -> Library:
     """A shared library that came in a bundle: the very bytes that are approved.
 
     Raises RequestError where they are not, OSError for what is no library of this machine.

@@ -7,13 +7,13 @@ from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse, Vehicle
 from runtime.control.controller import Controller
 from simulation.lockstep import fly_reference
+from tests.support.own_effects import given_catalogue
 
 TAU = 0.003  # s, a twentieth of a shooting node
 LAG = '''
 """Rotors that follow their command, under other names than the catalogue's."""
 
 from dynamics.effect import Effect, Hidden, Parameter, Prior
-from tests.support.own_effects import given_catalogue
 
 EFFECT = Effect(
     name="brisk_rotors",

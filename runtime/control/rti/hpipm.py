@@ -8,7 +8,6 @@ carries the libraries that its kernel was built against.
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from pathlib import Path
 from dynamics import symbolic
 from dynamics.codegen import is_compiled_here
 from dynamics.errors import RequestError
-from dynamics.trust import is_installed, load_given_library, load_own_library
+from dynamics.trust import Library, is_installed, load_given_library, load_own_library
 
 HPIPM = "libhpipm.so"
 BLASFEO = ("libblasfeo.so.0", "libblasfeo.so")  # the first that exists
@@ -87,7 +86,7 @@ def libraries_in(folder: Path) -> tuple[Path, Path] | None:
     return (blasfeo, folder / HPIPM) if blasfeo is not None and (folder / HPIPM).exists() else None
 
 
-def load_kernel(library: Path) -> ctypes.CDLL:
+def load_kernel(library: Path) -> Library:
     """A compiled kernel, with HPIPM loaded before it: its own from beside it, else this machine's.
 
     Raises RequestError when it does not fit this machine, when another HPIPM is loaded in this process already, or for
