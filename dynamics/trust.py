@@ -15,7 +15,7 @@ import sys
 import threading
 import types
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -126,8 +126,10 @@ def quoted(path: str | Path) -> str:
 def _without_folders(folder: Path) -> Iterator[None]:
     """Imports search neither a file's folder nor the working directory, whose files nobody has approved."""
     before = list(sys.path)
-    refused = {os.path.realpath(place) for place in (folder, ".")} - {str(ROOT)}
-    sys.path[:] = [place for place in before if os.path.realpath(place or ".") not in refused]
+    refused = {os.path.realpath(folder)} - {str(ROOT)} if folder.is_absolute() else set()
+    with suppress(FileNotFoundError):  # a working directory that is gone
+        refused |= {os.getcwd()} - {str(ROOT)}
+    sys.path[:] = [place for place in before if os.path.isabs(place) and os.path.realpath(place) not in refused]
     try:
         yield
     finally:
