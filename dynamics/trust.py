@@ -112,11 +112,6 @@ def load_given_library(path: Path) -> Library:
         return _libraries[sha256]
 
 
-def is_installed(path: Path) -> bool:
-    """Whether a file is one of Alula's own, beside its modules."""
-    return path.resolve().is_relative_to(ROOT / "runtime")
-
-
 def quoted(path: str | Path) -> str:
     """A path as a shell takes it, and a terminal may show it."""
     return shlex.quote(printable(str(path)))

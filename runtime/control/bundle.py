@@ -159,7 +159,8 @@ def read_bundle(folder: Path) -> Bundle:
     Raises RequestError for one that is damaged or edited, built for another machine, only usable on a workbench, or
     not approved.
     """
-    manifest, sha256 = whole_manifest(folder)
+    manifest, sha256 = _read_manifest(folder / MANIFEST)
+    _require_files(folder, manifest)
     libraries = [path.name for path in libraries_in(folder) or (Path(HPIPM),)]
     for name in (VEHICLE, KERNEL, *libraries, *([PHYSICS] if manifest.learned else [])):
         if name not in manifest.files:
@@ -170,6 +171,7 @@ def read_bundle(folder: Path) -> Bundle:
             "Train it with --causal-inputs; its model.onnx and model.c can be used on a workbench."
         )
     _require_machine(folder, manifest)
+    _require_unedited(folder, manifest)
     _require_approved(folder, manifest, sha256)
     text = read_vehicle_text(folder / VEHICLE)
     vehicle = parse_vehicle(text)
@@ -182,18 +184,28 @@ def whole_manifest(folder: Path) -> tuple[Manifest, str]:
     Raises RequestError for a bundle that is damaged or edited.
     """
     manifest, sha256 = _read_manifest(folder / MANIFEST)
+    _require_files(folder, manifest)
+    _require_unedited(folder, manifest)
+    return manifest, sha256
+
+
+def _require_files(folder: Path, manifest: Manifest) -> None:
+    """Raise RequestError for a file that is not the one that the manifest lists."""
     for name, digest in manifest.files.items():
         if _digest(folder / name) != digest:
             raise RequestError(
                 f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
                 "is proven about it; export the model again."
             )
+
+
+def _require_unedited(folder: Path, manifest: Manifest) -> None:
+    """Raise RequestError for a manifest that was edited after the export."""
     if with_digest(manifest) != manifest:
         raise RequestError(
             f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
             "flight may have changed; export the model again."
         )
-    return manifest, sha256
 
 
 def code_of(manifest: Manifest) -> dict[str, tuple[Kind, str]]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from dynamics import symbolic
 from dynamics.codegen import is_compiled_here
 from dynamics.errors import RequestError
-from dynamics.trust import Library, is_installed, load_given_library, load_own_library
+from dynamics.trust import Library, load_given_library, load_own_library
 
 HPIPM = "libhpipm.so"
 BLASFEO = ("libblasfeo.so.0", "libblasfeo.so")  # the first that exists
@@ -86,13 +86,15 @@ def libraries_in(folder: Path) -> tuple[Path, Path] | None:
     return (blasfeo, folder / HPIPM) if blasfeo is not None and (folder / HPIPM).exists() else None
 
 
-def load_kernel(library: Path) -> Library:
+def load_kernel(library: Path, *, own: bool = False) -> Library:
     """A compiled kernel, with HPIPM loaded before it: its own from beside it, else this machine's.
+
+    own: whether it is one of this installation's; one that was compiled here is so anyway.
 
     Raises RequestError when it does not fit this machine, when another HPIPM is loaded in this process already, or for
     a kernel of a bundle that the user has not approved.
     """
-    load = load_own_library if is_compiled_here(library) or is_installed(library) else load_given_library
+    load = load_own_library if own or is_compiled_here(library) else load_given_library
     beside = libraries_in(library.parent)
     try:
         for dependency in beside or find_hpipm().libraries:
