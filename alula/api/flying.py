@@ -10,6 +10,7 @@ from alula.api.planning import plan_flight
 from alula.api.reference_file import planned_reference
 from alula.api.signals import landing_on_signals
 from alula.workbench import workbench
+from dynamics.trust import approve_given
 
 if TYPE_CHECKING:
     from dynamics.vehicle import EffectUse, Vehicle
@@ -54,6 +55,7 @@ def simulate(
     from runtime.control.controller import Controller
     from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
 
+    approve_given(effect_files)
     folder = None if bundle is None else Path(bundle)
     flying = parse_vehicle(flown_vehicle_text(_path_or_vehicle(vehicle), folder, effect_files))
     learned = exported_bundle(folder)
@@ -142,6 +144,7 @@ def fly(
     from runtime.flight_setup import FlightSetup, prepare_flight
     from simulation.flight_check import read_check
 
+    approve_given(effect_files)
     if is_identification(reference):
         place = bundle if vehicle is None else vehicle
         planned = planned_reference(reference, place, effect_files=effect_files, duration=duration, folder=record)

@@ -24,27 +24,30 @@ def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
     Raises RequestError for a file that defines none.
     """
     from dynamics.effect_file import with_effects_of
+    from dynamics.effect_source import read_effect_file
     from dynamics.effects import CATALOGUE
+    from dynamics.trust import approve_given
     from dynamics.vehicle_file import read_vehicle
     from vehicles import FOLDER
 
     if not effects:
         return CATALOGUE
-    return with_effects_of(effects, read_vehicle(FOLDER / "arpl_250g.toml"))
+    approve_given(effects)
+    return with_effects_of(map(read_effect_file, effects), read_vehicle(FOLDER / "arpl_250g.toml"))
 
 
 def vehicle_of(vehicle: Vehicle | str | Path, effect_files: Sequence[str | Path] = ()) -> Vehicle:
-    """A vehicle as it is, or read from its file, with further effect files.
+    """A vehicle as it is, or read from its file, with further effect files, which are approved by being given.
 
-    Raises RequestError for a file that cannot be used.
+    Raises RequestError for a file that cannot be used, or effects that are not approved.
     """
-    from dynamics.vehicle_file import find_vehicle, parse_vehicle, read_vehicle, vehicle_toml, with_effect_files
+    from dynamics.trust import approve_given
+    from dynamics.vehicle_file import find_vehicle, read_vehicle, with_added_files
 
+    approve_given(effect_files)
     if isinstance(vehicle, (str, Path)):
         return read_vehicle(find_vehicle(vehicle), effect_files=effect_files)
-    if not effect_files:
-        return vehicle
-    return parse_vehicle(with_effect_files(vehicle_toml(vehicle), Path(), effect_files))
+    return with_added_files(vehicle, effect_files)
 
 
 def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:

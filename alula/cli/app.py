@@ -53,6 +53,7 @@ COMMANDS = (
     "sweep",
     "export",
     "effects",
+    "trust",
 )
 
 

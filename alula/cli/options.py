@@ -18,9 +18,23 @@ HoldOut = Annotated[
         "these do not fly as the others do."
     ),
 ]
+
+
+def _approved(paths: list[Path] | None) -> list[Path] | None:
+    """Files that the user names for this call, and by that approves for it."""
+    from dynamics.trust import approve_given
+
+    approve_given(paths)
+    return paths
+
+
 Effects = Annotated[
     list[Path] | None,
-    typer.Option("--effects", help="Python file with effects of your own, beside the vehicle file's; repeatable."),
+    typer.Option(
+        "--effects",
+        callback=_approved,
+        help="Python file with effects of your own, beside the vehicle file's; runs in this call; repeatable.",
+    ),
 ]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Figures = Annotated[

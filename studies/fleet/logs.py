@@ -10,7 +10,8 @@ from functools import cache
 from pathlib import Path
 
 from dynamics.errors import RequestError
-from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_text
+from dynamics.trust import require_approved
+from dynamics.vehicle_file import effect_files_in, find_vehicle, parse_vehicle, vehicle_text
 from flights.reading import logs_below
 
 VEHICLE = "vehicle.toml"
@@ -115,14 +116,12 @@ def vehicle_file_in(place: Path) -> Path | None:
 def read_fleet_vehicle(path: Path, label: str, effect_files: Sequence[Path] = ()) -> FleetVehicle:
     """A vehicle file, checked. label: what it is called in the results. Raises RequestError."""
     text = vehicle_text(path, effect_files=effect_files)
+    require_approved(effect_files_in(text), carrier=path)
     try:
         vehicle = parse_vehicle(text)
     except RequestError as error:
         raise RequestError(f"{path}: {error}") from error
-    digest = hashlib.sha256(text.encode())
-    for file in vehicle.effect_files:
-        digest.update(Path(file).read_bytes())
-    return FleetVehicle(vehicle.name, label, text, digest.hexdigest())
+    return FleetVehicle(vehicle.name, label, text, hashlib.sha256(text.encode()).hexdigest())
 
 
 def _describes_vehicle(path: Path) -> bool:

@@ -116,7 +116,7 @@ def _log_list(opened: OpenCase) -> Any:
 def _vehicle_choice(opened: OpenCase, name: str) -> list[Any]:
     state, version = opened.case.state, opened.case.version
     bundled = sorted(path.stem for path in FOLDER.glob("*.toml"))
-    now = "none chosen" if version is None else f"{opened.case.vehicle().name} ({state.vehicle})"
+    now = "none chosen" if version is None else f"{opened.case.vehicle_name()} ({state.vehicle})"
     choose = dmc.Group(
         [
             dmc.Select(

@@ -204,7 +204,7 @@ class OpenCase:
             logs=tuple(map(str, case.log_paths)),
             vehicle=str(case.vehicle_path()) if case.version else "",
             first_vehicle=str(case.vehicle_path(first)) if first else "",
-            effect_files=tuple(str(case.folder / file) for file in case.state.effect_files),
+            effect_files=tuple(file.path for file in case.effect_files()),
             mapping=case.state.options.mapping,
             pose=case.state.options.pose,
             hold_out=case.state.options.hold_out,

@@ -102,7 +102,7 @@ class RtiSolver:
     def __init__(self, model: FlownModel, problem: Problem, library: Path | None = None) -> None:
         """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
-        self._code = load_kernel(library or solver_library(model, problem))
+        self._code = load_kernel(library or solver_library(model, problem), own=library is None)
         self.trim = trim_of(model)
         options = fill_options(problem, model, self.trim)
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
