@@ -13,6 +13,7 @@ from diagnosis.vehicle_identification import Constant, Identification, identify_
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import GRAVITY, Body, Rotors, Vehicle
 from dynamics.vehicle_draft import Draft, Entry
+from dynamics.vehicle_plausibility import require_carried, require_in_range
 from dynamics.vehicle_sizing import YAW_INERTIA, YAW_SPREAD, inertia_by_rule, inertia_entry
 from flights import Flight
 from flights.rotor_layout import RotorLayout, rotor_layout
@@ -52,10 +53,12 @@ def vehicle_from_logs(
     Raises RequestError for logs that cannot be used, DataError where they state no layout or hold no flight.
     """
     _require_positive({"mass": mass, "arm": arm, "propeller": propeller, "speed_max": speed_max})
+    require_in_range(mass=mass, arm=arm, propeller=propeller)
     flights = read_flights(logs, mapping=mapping)
     layout = layout_of(flights)
     position = _positions(layout, arm)
     start = _start(name, mass or 1.0, position, layout, speed_max)
+    require_carried(start.body.mass, start.rotors, name)
     identified, refusal = _identified(flights, start)
     draft = Draft(
         name,

@@ -22,6 +22,7 @@ from dynamics.effect_file import with_effects_of
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_plausibility import require_plausible
 from vehicles import FOLDER
 
 
@@ -103,6 +104,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     for use in vehicle.effects:
         check_effect(use, vehicle.rotors.count, catalogue=catalogue)
     _check_controller(vehicle, catalogue)
+    require_plausible(vehicle)
     return vehicle
 
 

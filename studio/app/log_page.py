@@ -11,24 +11,22 @@ import dash_mantine_components as dmc
 import msgspec
 import plotly.graph_objects as go
 from dash import Input, Output, State, dcc, html, no_update
-from plotly.subplots import make_subplots
 
 from diagnosis.vehicle_from_logs import vehicle_from_logs
 from dynamics.errors import RequestError
 from studio.app import redraw
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, command_box, message
+from studio.app.parts import action, card, command_box, message, sized
 from studio.app.place import opened_at, place_of
 from studio.app.studio import Studio
 from studio.app.theme import LINE_COLOURS, styled
 from studio.app.traces import flight_line, window_of, zoomed
 from studio.case.case import Case
 from studio.case.state import Options
-from studio.pages.inspected import ROWS
+from studio.pages.flight_panels import Panel, PanelLine, height_of, panels_figure, place_legends, shown_panels
 from studio.work.results import FlightInfo
 from vehicles import FOLDER
 
-PANEL = 130  # px
 OWN_FILE, FROM_LOG = "a file of your own", "made from the log"
 
 
@@ -213,7 +211,7 @@ def _flight_card(opened: OpenCase) -> Any:
     return card(
         "Flights",
         choice,
-        redraw.lines_graph("log-lines", "Lines: the log's quantities over time"),
+        redraw.lines_graph("log-lines", "Lines: the log's quantities over time", _height(readable[0][1])),
         note="Drag to zoom: the lines are drawn again from all rows. Double-click to see the whole flight.",
     )
 
@@ -230,6 +228,7 @@ def register(app: dash.Dash, studio: Studio) -> None:
     )(lambda _, last, path: _refresh(studio, last, path))
     app.callback(
         Output("log-lines", "figure"),
+        Output("log-lines", "style"),
         Input("log-flight", "value"),
         State("url", "pathname"),
         State("scheme", "data"),
@@ -262,9 +261,9 @@ def _flight(studio: Studio, flight: str | None, path: str) -> tuple[Path, Flight
     return flights[0], flights[1][int(flight)], int(flight)
 
 
-def _draw(studio: Studio, flight: str | None, path: str, scheme: str) -> Any:
+def _draw(studio: Studio, flight: str | None, path: str, scheme: str) -> tuple[Any, Any]:
     there = _flight(studio, flight, path)
-    return no_update if there is None else flight_figure(*there, scheme)
+    return (no_update, no_update) if there is None else (flight_figure(*there, scheme), sized(_height(there[1])))
 
 
 def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
@@ -273,47 +272,39 @@ def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
     if there is None or not zoomed(zoom):
         return no_update
     folder, info, number = there
-    columns = [column for _, names in panels_of(info) for column in names]
+    columns = [line.column for _, lines in panels_of(info) for line in lines]
     lines = [flight_line(folder, info, number, column, window_of(zoom)) for column in columns]
     return redraw.redrawn("log-lines", key_of(info, number), dict(enumerate(lines)))
 
 
-def panels_of(info: FlightInfo) -> list[tuple[tuple[str, str, str], list[str]]]:
-    """The panels of a log's picture, and the columns that are drawn in each."""
-    columns = {row: [c.name for c in info.columns if c.quantity == row[0]] for row in ROWS}
-    return [(row, names) for row, names in columns.items() if names]
+def panels_of(info: FlightInfo) -> list[tuple[Panel, list[PanelLine]]]:
+    """The panels of a log's picture, and the lines in each."""
+    return shown_panels({column.name: column.quantity for column in info.columns})
+
+
+def _height(info: FlightInfo) -> int:
+    """The height of a log's picture, px."""
+    return height_of(max(1, len(panels_of(info))))
 
 
 def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> go.Figure:
     """The quantities of a log over time, a panel each."""
     panels = panels_of(info)
-    figure = make_subplots(rows=max(1, len(panels)), shared_xaxes=True, vertical_spacing=0.035)
-    for row, ((_, title, unit), columns) in enumerate(panels, start=1):
-        for index, column in enumerate(columns):
-            line = flight_line(folder, info, number, column)
-            figure.add_trace(
-                go.Scatter(
-                    x=line.x,
-                    y=line.y,
-                    name=column,
-                    mode="lines",
-                    line={"color": LINE_COLOURS[index % len(LINE_COLOURS)], "width": 1.1},
-                    showlegend=False,
-                    hovertemplate=f"{column}: %{{y:.4g}} {unit}<extra></extra>",
-                ),
-                row=row,
-                col=1,
-            )
-        figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
-    figure.update_xaxes(title_text="time, s", row=max(1, len(panels)), col=1)
-    styled(figure, scheme, height=PANEL * max(1, len(panels)) + 70)
+
+    def points(column: str) -> tuple[Any, Any]:
+        line = flight_line(folder, info, number, column)
+        return line.x, line.y
+
+    figure = panels_figure(panels, points, LINE_COLOURS)
+    styled(figure, scheme, height=_height(info))
+    place_legends(figure, range(1, len(panels) + 1))
     figure.update_layout(hovermode="x unified")
     return redraw.keyed(figure, key_of(info, number))
 
 
 def key_of(info: FlightInfo, number: int) -> str:
-    """Of the lines of a log's picture."""
-    return repr((number, info.path, [names for _, names in panels_of(info)]))
+    """The key of the lines of a log's picture."""
+    return repr((number, info.path, [[line.column for line in lines] for _, lines in panels_of(info)]))
 
 
 def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
