@@ -80,6 +80,28 @@ def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ())
     return tomlkit.dumps(document)
 
 
+def without_effect_files(text: str) -> tuple[str, tuple[str, ...]]:
+    """The text of a vehicle file without its list of Python files, and that list; nothing of these is run.
+
+    Raises RequestError for a text that is no TOML.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except tomlkit.exceptions.TOMLKitError as error:
+        raise RequestError(f"not valid TOML: {error}. Give a vehicle file, see vehicles/.") from error
+    named = document.pop("effect_files", [])
+    return tomlkit.dumps(document), tuple(map(str, named)) if isinstance(named, list) else ()
+
+
+def vehicle_name(text: str) -> str:
+    """The name in the text of a vehicle file, "unnamed" where there is none; nothing of it is run."""
+    try:
+        name = tomllib.loads(text).get("name")
+    except tomllib.TOMLDecodeError:
+        return "unnamed"
+    return name if isinstance(name, str) else "unnamed"
+
+
 def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
     """A vehicle from the text of its file. Raises RequestError as `read_vehicle`.
 

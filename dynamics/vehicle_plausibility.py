@@ -36,9 +36,9 @@ UNITS_OF_MASS = {"g": 1e-3}
 UNITS_OF_LENGTH = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
 
 
-def require_in_range(**given: float | None) -> None:
+def require_in_range(**values: float | None) -> None:
     """Raise RequestError for a mass, arm or propeller, in SI, that no vehicle has; None is not given."""
-    for name, value in given.items():
+    for name, value in values.items():
         low, high, unit = RANGES[name]
         if value is not None and not low <= value <= high:
             raise RequestError(f"{name} = {value:g}: give {low:g} to {high:g} {unit}.")
@@ -106,20 +106,22 @@ def _advice(mass: float, rotors: Rotors, loading: float) -> str:
 def _require_propeller(vehicle: Vehicle, radius: float) -> None:
     """Raise RequestError for a propeller that does not fit the rotors. radius: m."""
     rotors = vehicle.rotors
-    given = f"{vehicle.name}: propellers of a radius of {radius:g} m"
+    subject = f"{vehicle.name}: propellers of a radius of {radius:g} m"
     advice = "Check rotors.radius (m, half of the diameter; an inch is 0.0254)"
     if radius > _gap(rotors):
-        raise RequestError(f"{given} on rotors {_gap(rotors):.3g} m apart reach each other's axes. {advice}.")
+        raise RequestError(f"{subject} on rotors {_gap(rotors):.3g} m apart reach each other's axes. {advice}.")
     coefficient = 4 * math.pi**2 * rotors.thrust_constant / (AIR_DENSITY * (2 * radius) ** 4)
     low, high = THRUST_COEFFICIENT_RANGE
     if not low <= coefficient <= high:
         raise RequestError(
-            f"{given} have a thrust coefficient of {coefficient:.3g} by thrust_constant {rotors.thrust_constant:.3g} N "
-            f"s^2/rad^2; {low:g} to {high:g} are possible, 0.1 is usual. {advice}, thrust_constant and mass (kg)."
+            f"{subject} have a thrust coefficient of {coefficient:.3g} by thrust_constant "
+            f"{rotors.thrust_constant:.3g} N s^2/rad^2; {low:g} to {high:g} are possible, 0.1 is usual. "
+            f"{advice}, thrust_constant and mass (kg)."
         )
-    if radius * rotors.speed_max > MAX_TIP_SPEED:
+    tip_speed = radius * rotors.speed_max
+    if tip_speed > MAX_TIP_SPEED:
         raise RequestError(
-            f"{given} at speed_max {rotors.speed_max:g} rad/s have tips of {radius * rotors.speed_max:.0f} m/s; up to "
+            f"{subject} at speed_max {rotors.speed_max:g} rad/s have tips of {tip_speed:.0f} m/s; up to "
             f"{MAX_TIP_SPEED:g} are possible. {advice} and speed_max (rad/s, not rpm)."
         )
 

@@ -24,7 +24,7 @@ SHOWN_SECONDS = 8  # buttons of a cell
 PATH_POINTS = 4000
 PATH_HEIGHT = 480  # px
 # from where the whole box shows in a picture that is narrower than it is high, as on a telephone
-CAMERA = {"eye": {"x": 1.7, "y": 1.7, "z": 1.3}}
+CAMERA = {"eye": {"x": 2.1, "y": 2.1, "z": 1.6}}
 
 
 def map_card(compared: Compared) -> Any:

@@ -12,8 +12,9 @@ import msgspec
 import plotly.graph_objects as go
 from dash import Input, Output, State, dcc, html, no_update
 
-from diagnosis.vehicle_from_logs import vehicle_from_logs
 from dynamics.errors import RequestError
+from dynamics.files import write_whole
+from dynamics.vehicle_file import vehicle_name, with_effect_files, without_effect_files
 from studio.app import redraw
 from studio.app.opened import OpenCase
 from studio.app.parts import action, card, command_box, message, sized
@@ -106,9 +107,21 @@ def _log_list(opened: OpenCase) -> Any:
             n_clicks=0,
             **{"aria-label": f"remove {Path(log.path).name}"},
         )
+        flown = [] if info is None or not info.vehicle else [_flown_offer(info)]
         name = dmc.Text([html.B(Path(log.path).name), f" ({about})"])
-        rows.append(html.Li(dmc.Stack([dmc.Group([name, remove]), *refused], gap=2)))
+        rows.append(html.Li(dmc.Stack([dmc.Group([name, remove, *flown]), *refused], gap=2)))
     return html.Ul(rows)
+
+
+def _flown_offer(info: FlightInfo) -> Any:
+    """A button that takes the vehicle that a recording holds."""
+    return dmc.Button(
+        f"Use the vehicle that flew it: {vehicle_name(info.vehicle)}",
+        id={"act": "flown-vehicle", "step": "", "value": info.path},
+        size="compact-sm",
+        variant="light",
+        n_clicks=0,
+    )
 
 
 def _vehicle_choice(opened: OpenCase, name: str) -> list[Any]:
@@ -307,26 +320,25 @@ def key_of(info: FlightInfo, number: int) -> str:
     return repr((number, info.path, [[line.column for line in lines] for _, lines in panels_of(info)]))
 
 
-def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
+def change(opened: OpenCase, act: str, value: str, fields: dict[str, Any]) -> None:
     """Choose or make a vehicle, or change how logs are read. Raises RequestError and DataError."""
     case = opened.case
     if act == "vehicle":
         if not fields.get("bundled"):
             raise RequestError("no vehicle is selected in the list. Select one, or drop a file.")
-        case.set_vehicle(str(fields["bundled"]))
+        opened.choose_vehicle(lambda: case.set_vehicle(str(fields["bundled"])))
+    elif act == "flown-vehicle":
+        opened.choose_vehicle(lambda: use_flown_vehicle(opened, value))
     elif act == "make-vehicle":
-        made = vehicle_from_logs(
-            case.log_paths,
-            name=str(fields.get("made-name") or "vehicle"),
+        name = str(fields.get("made-name") or "vehicle").replace("/", "_")
+        opened.make_vehicle(
+            name,
+            _making(case, fields, case.folder / f"{name}.toml"),
             mass=_number(fields.get("made-mass")),
             arm=_number(fields.get("made-arm")),
             speed_max=_number(fields.get("made-speed")),
-            mapping=case.state.options.mapping or None,
         )
-        path = case.folder / f"{made.draft.vehicle.name}.toml"
-        action = f"made {made.draft.vehicle.name} from the log"
-        case.set_vehicle_text(made.draft.toml, source=str(path), action=action, command=_making(case, fields, path))
-        path.write_text(made.draft.toml, encoding="utf-8")
+        return
     else:
         keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping"}
         values = {name: str(fields.get(field) or "") for name, field in keys.items()}
@@ -334,6 +346,33 @@ def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
     if case.state.logs:
         opened.start("check")
         opened.start_if_open("compare")
+
+
+def use_flown_vehicle(opened: OpenCase, log: str) -> None:
+    """Choose the vehicle that a recording holds. log: path of the recording.
+
+    Its list of Python files with effects is left out, since data never runs code: effects of one's own are those that
+    the user has dropped. Raises RequestError where it needs others.
+    """
+    flights = opened.flights()
+    flown = next((info.vehicle for info in flights[1] if info.path == log), "") if flights else ""
+    if not flown:
+        raise RequestError(f"{Path(log).name} holds no vehicle. Choose one in the list, or drop a file.")
+    case = opened.case
+    text, named = without_effect_files(flown)
+    files = [case.folder / file for file in case.state.effect_files]
+    source = case.folder / f"flown_{Path(log).name.partition('.')[0]}.toml"
+    action = f"took the vehicle of {Path(log).name}"
+    try:
+        case.set_vehicle_text(with_effect_files(text, case.folder, files), source=str(source), action=action)
+    except RequestError as error:
+        if not named:
+            raise
+        raise RequestError(
+            f"{error} The recording's vehicle names effects of its own in {', '.join(map(repr, named))}: a Python "
+            "program, which a recording never runs. If you trust it, drop that file under 'Effects of your own' first."
+        ) from error
+    write_whole(source, lambda part: part.write_text(text, encoding="utf-8"), advice="Make room on the disk.")
 
 
 def _making(case: Case, fields: dict[str, Any], path: Path) -> str:

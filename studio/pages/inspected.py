@@ -104,7 +104,7 @@ def delay_points(inspection: Inspection) -> Picture | None:
                 hovertemplate=f"{kind}: %{{x:.2f}} ± {reach:.2f} ms<extra></extra>",
             )
         )
-    figure.update_xaxes(title_text="ms by which stamps are late (blue), or by which a response lags (orange)")
+    figure.update_xaxes(title_text="ms by which stamps are late (blue),<br>or by which a response lags (orange)")
     figure.add_vline(x=0, line={"color": FLOOR, "width": 1})
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 90 + 48 * len(inspection.delays), "Points with bars: delays between the log's streams.")

@@ -16,6 +16,8 @@ from flights import Flight, Log
 from flights.quality import Inspection
 from flights.quality.inspection import judge
 from flights.quantities import QUANTITIES
+from runtime.flight_setup import VEHICLE_TEXT
+from runtime.record.recording import read_attachments
 from studio.pages.flight_panels import ANGLES, ANGLES_SETPOINT, drawn_columns, quantities_of
 from studio.pages.inspected import coverage_maps, delay_points
 from studio.work.arrays import write_arrays
@@ -73,12 +75,17 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
         table = np.array(list(drawn.values()), dtype=np.float32)
         write_arrays(part, {f"time_{number}": flight.time, f"table_{number}": table})
         columns = tuple(ColumnInfo(name, kinds[name], UNITS[kinds[name]]) for name in drawn)
-        infos.append(FlightInfo(Path(path).name, path, flight.duration, flight.rate, columns))
+        infos.append(FlightInfo(Path(path).name, path, flight.duration, flight.rate, columns, vehicle=_flown(path)))
         flights.append(flight)
     write_json(infos, part / FLIGHTS)
     shutil.rmtree(target, ignore_errors=True)
     part.rename(target)
     return infos, flights
+
+
+def _flown(path: str) -> str:
+    """The text of the vehicle file that a recording holds, empty where the log is none."""
+    return read_attachments(Path(path)).get(VEHICLE_TEXT, "")
 
 
 def _has_layout(flights: list[Flight | None]) -> bool:
