@@ -35,6 +35,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.trust import require_approved
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_plausibility import require_plausible
 from vehicles import FOLDER
 
 
@@ -131,6 +132,28 @@ def effect_entries(text: str) -> list[Any]:
         return []  # `parse_vehicle` says where
 
 
+def without_effect_files(text: str) -> tuple[str, tuple[str, ...]]:
+    """The text of a vehicle file without its list of Python files, and that list; nothing of these is run.
+
+    Raises RequestError for a text that is no TOML.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except tomlkit.exceptions.TOMLKitError as error:
+        raise RequestError(f"not valid TOML: {error}. Give a vehicle file, see vehicles/.") from error
+    named = document.pop("effect_files", [])
+    return tomlkit.dumps(document), tuple(map(str, named)) if isinstance(named, list) else ()
+
+
+def vehicle_name(text: str) -> str:
+    """The name in the text of a vehicle file, "unnamed" where there is none; nothing of it is run."""
+    try:
+        name = tomllib.loads(text).get("name")
+    except tomllib.TOMLDecodeError:
+        return "unnamed"
+    return name if isinstance(name, str) else "unnamed"
+
+
 def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
     """A vehicle from the text of its file, with the texts of its effect files; see `vehicle_text`.
 
@@ -154,6 +177,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     for use in vehicle.effects:
         check_effect(use, vehicle.rotors.count, catalogue=catalogue)
     _check_controller(vehicle, catalogue)
+    require_plausible(vehicle)
     return vehicle
 
 

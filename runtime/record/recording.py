@@ -19,6 +19,7 @@ from zstandard import ZstdError
 from dynamics.errors import DataError, RequestError
 from runtime.record.records import TOPICS, Record
 
+MAGIC = b"\x89MCAP0\r\n"  # of an MCAP file
 Columns = Mapping[str, NDArray[Any]]
 
 
@@ -87,6 +88,26 @@ def newest_recording(path: Path) -> Path:
     if not recordings:
         raise RequestError(f"{path}: no recording there. Give a .mcap file of `alula fly --record`, or its folder.")
     return recordings[-1]
+
+
+def read_attachments(path: Path) -> dict[str, str]:
+    """The texts that a recording begins with, such as the vehicle file; empty for a file that is no recording."""
+    attachments: dict[str, str] = {}
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return {}
+        for part in _parts(path):
+            match part:
+                case Message():
+                    break  # the recorder writes them before the flight
+                case Attachment():
+                    attachments[part.name] = part.data.decode()
+                case _:
+                    pass
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return attachments
 
 
 def read_recording(path: Path) -> FlightRecording:

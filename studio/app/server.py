@@ -222,7 +222,8 @@ def _receive_vehicle(opened: OpenCase) -> str:
     folder = opened.case.folder
     text = with_effect_files(_text(), folder, [file.path for file in opened.case.effect_files()])
     target = folder / f"uploaded_{name}"
-    opened.case.set_vehicle_text(text, source=str(target), action=f"chose {Path(name).stem}")
+    action = f"chose {Path(name).stem}"
+    opened.choose_vehicle(lambda: opened.case.set_vehicle_text(text, source=str(target), action=action))
     write_whole(target, lambda part: part.write_text(text, encoding="utf-8"), advice="Make room on the disk.")
     if opened.case.state.logs:
         opened.start("check")

@@ -316,5 +316,5 @@ def _change(opened: OpenCase, act: str, step: str, value: str, fields: dict[str,
             case.remove_log(value)
             if case.state.logs:
                 opened.start("check")
-        case "vehicle" | "make-vehicle" | "options":
-            log_page.change(opened, act, fields)
+        case "vehicle" | "make-vehicle" | "flown-vehicle" | "options":
+            log_page.change(opened, act, value, fields)

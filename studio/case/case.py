@@ -235,7 +235,7 @@ class Case:
         parts: list[Any] = [[log.sha256 for log in state.logs], state.options.mapping, state.options.pose]
         parts.append([self._digest(name) for name in state.effect_files])
         name = step.partition(":")[0]
-        if name not in ("check", "flights"):
+        if name not in ("check", "flights", "make"):
             versions = [version or self.version, self.first_version if name == "prove" else None]
             parts += [state.options.hold_out, *(v and self._digest(v.file) for v in versions)]
         return hashlib.sha256(msgspec.json.encode([step, *parts])).hexdigest()[:16]
