@@ -99,8 +99,8 @@ def left_out(
     change = np.zeros(len(own))
     for i, value in neutral_values(fitted, candidate, vehicle).items():
         change[own.index(i)] = value - values[i]
-    kept = {one.key for one in held}
-    rest = [i for i in range(len(keys)) if i not in own and keys[i][0] not in kept]
+    constant = {one.key for one in held}
+    rest = [i for i in range(len(keys)) if i not in own and keys[i][0] not in constant]
     others = [c for c in (*fitted.candidates, *fitted.nuisances) if c is not candidate]
     if rest:
         scale = np.sqrt(np.maximum(np.abs(np.diag(fitted.information)[rest]), 1e-300))

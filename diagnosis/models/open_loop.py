@@ -88,12 +88,12 @@ def motion_over_horizons(
     segments: Sequence[Segment], thresholds: PredictionThresholds = DEFAULT.prediction
 ) -> dict[float, Floats]:
     """(4,) RMS change of position, velocity, attitude and rate over each horizon."""
-    changes: dict[float, Floats] = {}
+    motion: dict[float, Floats] = {}
     for horizon in thresholds.horizons:
         pairs = [(s.smooth[step:], s.smooth[:-step]) for s in segments if len(s) > (step := round(horizon * s.rate))]
         moved = np.vstack([state_error(later, earlier) for later, earlier in pairs]) if pairs else np.zeros((1, 12))
-        changes[horizon] = np.sqrt(np.mean(np.sum(moved.reshape(-1, 4, 3) ** 2, axis=2), axis=0))
-    return changes
+        motion[horizon] = np.sqrt(np.mean(np.sum(moved.reshape(-1, 4, 3) ** 2, axis=2), axis=0))
+    return motion
 
 
 def state_error(predicted: Floats, measured: Floats) -> Floats:
