@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas
 
 MIN_SEGMENT = 0.5  # s
+SAME_RATE = 1e-6  # of a rate, within which clocks differ by rounding
 MAX_JITTER = 0.5  # of a period, by which a row may be early or late
 
 
@@ -159,6 +160,10 @@ class Flight:
         """The rows from start to before stop, with their times as they are."""
         columns = {name: values[start:stop] for name, values in self.columns.items()}
         return type(self)(self.time[start:stop], columns, self.provenance, self.origins, self.parameters, self.metadata)
+
+    def has_rate(self, rate: float) -> bool:
+        """Whether it is of a single row, or of this rate, Hz, but for the rounding of its clock."""
+        return not self.rate or abs(self.rate - rate) < SAME_RATE * rate
 
     def at_rate(self, rate: float) -> Self:
         """The flight on a clock of another rate, Hz; of a log, `from_log` interpolates once less."""

@@ -21,7 +21,6 @@ from flights.hold_out import matching
 from flights.quality.findings import Finding
 from flights.quantities import MOTION
 
-SAME_RATE = 1e-6  # of a rate; clocks that are closer differ by rounding
 NOTED = ("frozen_channel", "battery_unmeasured")  # findings that change what is used
 
 
@@ -109,20 +108,15 @@ def align_logs(streams: Sequence[Log], thresholds: SegmentThresholds = DEFAULT.s
         raise DataError(f"{names}: one row is no flight. Fly at least 20 s in the air without gaps.")
     rate = min(rates)
     return [
-        flight if _has_rate(flight, rate) else Flight.from_log(log, rate=rate)
+        flight if flight.has_rate(rate) else Flight.from_log(log, rate=rate)
         for log, flight in zip(streams, flights, strict=True)
     ]
-
-
-def _has_rate(flight: Flight, rate: float) -> bool:
-    """Whether a flight is of one row, or its rate is this one but for rounding of its clock, Hz."""
-    return not flight.rate or abs(flight.rate - rate) < SAME_RATE * rate
 
 
 def _at_one_rate(flights: Sequence[Flight]) -> list[Flight]:
     """Flights at the rate of the slowest: windows are counted in rows, of which all must last as long."""
     rate = min((flight.rate for flight in flights if flight.rate > 0), default=0.0)
-    return [flight if _has_rate(flight, rate) else flight.at_rate(rate) for flight in flights]
+    return [flight if flight.has_rate(rate) else flight.at_rate(rate) for flight in flights]
 
 
 def make_dataset(
