@@ -28,7 +28,7 @@ from flights.agreement import (
     rms,
 )
 from flights.alignment import resample
-from flights.log import Stream
+from flights.log import Stream, spanning_streams
 from flights.quantities import MOTION
 
 if TYPE_CHECKING:
@@ -101,8 +101,9 @@ def check_flight(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction,
 
 
 def _grid(streams: list[Stream]) -> Floats:
-    start = min((float(stream.time[0]) for stream in streams), default=0.0)
-    end = max((float(stream.time[-1]) for stream in streams), default=0.0)
+    spanning = spanning_streams(streams)
+    start = min((float(stream.time[0]) for stream in spanning), default=0.0)
+    end = max((float(stream.time[-1]) for stream in spanning), default=0.0)
     count = min(int((end - start) * _GRID_RATE) + 1, _MAX_ROWS)
     return np.asarray(start + np.arange(count) / _GRID_RATE)
 

@@ -208,7 +208,8 @@ def export(
     exported = export_bundle(trained, Path(out), options)
     flown = flight_check and options.processor.runs_here
     check = check_bundle(exported.folder, exported.manifest) if flown else None
-    return ExportResult(exported.folder, exported.manifest, exported.parity, check)
+    of_nominal = None if trained.trained is None else trained.trained.card.of_nominal
+    return ExportResult(exported.folder, exported.manifest, exported.parity, check, of_nominal)
 
 
 def _paths(paths: str | Path | Sequence[str | Path]) -> tuple[Path, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -206,7 +206,21 @@ def train(
         write_json(result.report, STANDARD_OUTPUT)
     else:
         _print(result.model, out, console)
+        _print_advice(result.report.of_nominal, logs, vehicle, out, console)
+
+
+def _print_advice(of_nominal: float, logs: Sequence[Path], vehicle: str, out: Path, console: Console) -> None:
+    """The next command: a bundle of a model that is better than the nominal one, else what is missing from that."""
+    if not of_nominal >= 1:
         print_next("export", out, "--out", out.with_suffix(""))
+        return
+    console.print(
+        f"not to be flown: on the validation flights it errs {of_nominal:.3g} times as much as the nominal model. More "
+        "steps (--steps), more and faster flights, or physics first (--model grey_box --effect diagnosed); the effects "
+        "that a diagnosis names fly without a network",
+        highlight=False,
+    )
+    print_next("diagnose", *logs, "--vehicle", vehicle)
 
 
 @contextmanager
