@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -57,6 +58,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     period: float = CONTROL_PERIOD
     rate_lookahead: float
     yaw_lookahead: float
+    setpoint: Literal["predicted", "commanded"] = "predicted"
     delay: float = DEFAULTS.delay
     max_position_error: float = msgspec.field(default=DEFAULTS.max_position_error, name="largest_error")
     fit: FitLimits = FitLimits()
@@ -78,6 +80,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             period=period or 1 / settings.rate,
             rate_lookahead=lookahead.rate,
             yaw_lookahead=lookahead.yaw,
+            setpoint="commanded",
             delay=settings.delay,
             max_position_error=settings.max_position_error,
             adaptation=msgspec.structs.replace(
@@ -154,6 +157,9 @@ class Controller:
         seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
         self._lookahead = np.array(seconds) / options.problem.node  # in nodes
         self._command_states = self.solver.states[:2]
+        self._leads_lag = options.setpoint == "commanded" and len(self.solver.rotor_speed_places) > 0
+        self._lead = np.array(seconds)  # s
+        self._settled = self._state.copy()
         self.adaptation: Adaptation | None = None
         if options.adaptation.mode != "off":
             self.adaptation = Adaptation(
@@ -275,14 +281,31 @@ class Controller:
         """
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
-        now, then = self._command_states[0, RATE], self._command_states[1, RATE]
-        rate = now + self._lookahead * (then - now)
+        rate = self._rate_setpoint(speed, time + self.options.delay)
         thrust = float(self.collective_thrust(speed))
         command = Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
         self._take_state(state, time)
         if not command.fault:
             self._remember(self._acting, speed)
         return command
+
+    def _rate_setpoint(self, speed: Floats, acting: float) -> Floats:
+        """The body rates (3,), rad/s, to command for the rotor speeds (nu,), rad/s, that act from a time on, s.
+
+        They look ahead along the angular acceleration that these inputs command. Where the model lags, the prediction's
+        slope is what earlier inputs left: the rate loop would be told of a plan when the model has carried it out.
+        """
+        now = self._command_states[0, RATE]
+        if not self._leads_lag:
+            return np.asarray(now + self._lookahead * (self._command_states[1, RATE] - now))
+        self._settled[:] = self._command_states[0]
+        for place in self.solver.rotor_speed_places:
+            self._settled[place] = speed
+        step = min(self.options.problem.node, self._max_step)
+        if self._columns is not None:
+            self._columns.write_columns(acting, self.solver.history)
+        settled = self.solver.propagate(self._settled, speed, step)[RATE]
+        return np.asarray(now + self._lead / step * (settled - now))
 
     def sent(self, collective_thrust: float, time: float, effectiveness: float) -> None:
         """Tell what left at a tick, s: N, also where it is not what this controller commanded.
