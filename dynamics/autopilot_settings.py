@@ -6,10 +6,18 @@ from the autopilot itself.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from dynamics.arrays import Vector3
 from dynamics.errors import RequestError
+
+AXES = ("ROLL", "PITCH", "YAW")
+CUTOFFS = ("IMU_GYRO_CUTOFF", "MC_YAW_TQ_CUTOFF")
+GAINS = tuple(f"MC_{axis}RATE_{part}" for axis in AXES for part in ("P", "K"))
+PARAMETERS = (*GAINS, *CUTOFFS)  # of PX4; the proportional gains are there in every version
+NO_FILTER = 1000.0  # Hz
 
 
 class AutopilotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,6 +31,18 @@ class AutopilotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     rate_gain: Vector3
     gyro_cutoff: float = 40.0
     yaw_torque_cutoff: float = 2.0
+
+    @classmethod
+    def from_parameters(cls, values: Mapping[str, float]) -> AutopilotSettings | None:
+        """The gains that PX4's parameters give, by name; None without one of the proportional gains.
+
+        Raises RequestError for gains that hold no body rate.
+        """
+        if any(f"MC_{axis}RATE_P" not in values for axis in AXES):
+            return None
+        roll, pitch, yaw = (values[f"MC_{axis}RATE_P"] * values.get(f"MC_{axis}RATE_K", 1.0) for axis in AXES)
+        gyro, torque = (min(values.get(name, 0.0) or NO_FILTER, NO_FILTER) for name in CUTOFFS)  # 0 Hz: switched off
+        return cls((roll, pitch, yaw), gyro, torque)
 
     def __post_init__(self) -> None:
         """Refuse gains that hold no body rate."""

@@ -1,6 +1,6 @@
 """PX4's body-rate loop on a vehicle: the autopilot's gains, and the loop that they make with its rotors.
 
-The gains are facts of the autopilot, the lag one of the vehicle: correcting the second leaves the first. Gains come from
+The gains are facts of the autopilot, the lag one of the vehicle: correcting the second leaves the first. They come from
 the autopilot over a link, else from [autopilot] of the vehicle file, else from a rule: PX4's defaults suit its SIH
 quadrotor; on another vehicle they are scaled so that the loop keeps its shape: gain times authority over inertia, in
 units of the lag of motors, gyro filter and actuation, stays that of the SIH quadrotor. The mock's autopilot is tuned by
@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from dynamics import symbolic
@@ -66,7 +67,7 @@ class RateLoop:
     @property
     def tilt_speed(self) -> float:
         """Proportional gain of roll and pitch times authority, their geometric mean, 1/s."""
-        return math.sqrt(math.prod(gain * torque for gain, torque in zip(self.rate_gain[:2], self.authority, strict=False)))
+        return math.sqrt(math.prod(self.rate_gain[axis] * self.authority[axis] for axis in (0, 1)))
 
     @property
     def tilt_time(self) -> float:
@@ -151,6 +152,19 @@ def rate_controller(vehicle: Vehicle, gains: AutopilotSettings) -> RateControlle
         acceleration_cutoff=0.75 * gains.gyro_cutoff,
         yaw_torque_cutoff=gains.yaw_torque_cutoff,
     )
+
+
+def with_gains_kept(before: Vehicle, after: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
+    """A corrected vehicle with the gains of the file before the correction, where its motors' lag was corrected.
+
+    A file that states a lag states what its autopilot was tuned for; the model's correction turns no gain. One without
+    a lag states nothing: there the gains suit the first lag that is found.
+    """
+    catalogue = catalogue_of(after, catalogue)
+    lags = [modelled_motor_lag(vehicle.effects, catalogue) for vehicle in (before, after)]
+    if after.autopilot is not None or lags[0] == 0.0 or lags[0] == lags[1]:
+        return after
+    return msgspec.structs.replace(after, autopilot=autopilot_gains(before, catalogue=catalogue))
 
 
 def angular_authority(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> Floats:

@@ -16,8 +16,11 @@ import numpy as np
 
 from dynamics.allocation import mixer
 from dynamics.arrays import Floats
+from dynamics.integrators import required_steps, step_function
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.rate_loop import ACTUATION_DELAY, RateController
 from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES
+from dynamics.trim import FAR_FROM_GROUND, find_trim
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import ControllerOptions
 from runtime.control.rti.problem import INPUT_SCALE
@@ -26,6 +29,7 @@ STEP = 0.001  # s, of the autopilot and of the vehicle
 REDUCED = 12  # rigid-body states with a rotation vector in place of the quaternion
 DIFFERENCE = 1e-5  # of a state, by which it is linearised; of an input, times its hover speed
 QUEUE = round(ACTUATION_DELAY / STEP)
+MAX_STEP = 0.05  # s, of a model
 MEMORY = 4  # ticks of inputs and hidden states that the controller remembers here
 SLOWEST = 2.0  # rad/s, below which a pole is no oscillation of the attitude
 Step = Callable[[Floats, Floats, float], Floats]
@@ -52,7 +56,7 @@ class HoverModel:
         still, hover = np.zeros(size), np.zeros(inputs)
         scale = DIFFERENCE * self.rotor_speed
         states = [self._slope(seconds, row * DIFFERENCE, hover, DIFFERENCE) for row in np.eye(size)]
-        driven = [self._slope(seconds, still, row * scale, row @ scale) for row in np.eye(inputs)]
+        driven = [self._slope(seconds, still, row * scale, float(row @ scale)) for row in np.eye(inputs)]
         return np.stack(states, axis=1), np.stack(driven, axis=1)
 
     @property
@@ -64,8 +68,11 @@ class HoverModel:
         return change
 
     def _slope(self, seconds: float, state: Floats, speed: Floats, size: float) -> Floats:
-        ends = [self._reduced(self.step(self._whole(s * state), self.rotor_speed + s * speed, seconds)) for s in (1, -1)]
-        return np.asarray((ends[0] - ends[1]) / (2 * size))
+        up, down = (
+            self._reduced(self.step(self._whole(sign * state), self.rotor_speed + sign * speed, seconds))
+            for sign in (1, -1)
+        )
+        return np.asarray((up - down) / (2 * size))
 
     def _whole(self, reduced: Floats) -> Floats:
         whole = self.state.copy()
@@ -80,6 +87,21 @@ class HoverModel:
         turned = 2 * whole[ATTITUDE][1:]
         change = whole - self.state
         return np.concatenate([change[:6], turned, change[RATE], change[RIGID_BODY_STATES:]])
+
+
+def hover_model(model: Model) -> HoverModel:
+    """The linear model of a flight model about its hover, far from the ground."""
+    trim = find_trim(model)
+    state = model.initial_state(np.array([0.0, 0.0, FAR_FROM_GROUND, *[0.0] * 3, 1.0, *[0.0] * 6]))
+    for place in model.rotor_speed_places:
+        state[place] = trim.rotor_speed
+    still = np.zeros(model.hidden_count)
+    function = step_function(model, substeps=required_steps(model, MAX_STEP))
+
+    def step(x: Floats, u: Floats, seconds: float) -> Floats:
+        return np.array(function(x, u, model.parameter_values, ENVIRONMENT_DEFAULT, still, seconds)).ravel()
+
+    return HoverModel(step, state, trim.rotor_speed, model.rotor_speed_places)
 
 
 @dataclass(frozen=True)
@@ -164,7 +186,7 @@ def closed_loop_poles(
             matrix = _sampled(states) @ matrix
         matrix = inner @ matrix
     values = np.linalg.eigvals(matrix)
-    return np.log(values[np.abs(values) > 1e-6]) / controller.options.period
+    return np.asarray(np.log(values[np.abs(values) > 1e-6]) / controller.options.period)
 
 
 def least_damped(poles: Floats) -> Oscillation:
@@ -183,12 +205,13 @@ def _regulator(A: Floats, B: Floats, options: ControllerOptions, hover_speed: fl
     Q = np.diag([*weights.position, *weights.velocity, *attitude, *weights.rate, *hidden])
     regular = problem.levenberg_marquardt / (INPUT_SCALE * hover_speed) ** 2
     R = (weights.input / hover_speed**2 + regular) * np.eye(B.shape[1])
-    cost, gain = weights.terminal * Q, np.zeros(B.T.shape)
+    cost: Floats = weights.terminal * Q
+    gain: Floats = np.zeros(B.T.shape)
     for _ in range(problem.nodes):
-        gain = np.linalg.solve(R + B.T @ cost @ B, B.T @ cost @ A)
+        gain = np.asarray(np.linalg.solve(R + B.T @ cost @ B, B.T @ cost @ A))
         cost = Q + A.T @ cost @ (A - B @ gain)
-        cost = (cost + cost.T) / 2
-    return np.asarray(gain)
+        cost = np.asarray((cost + cost.T) / 2)
+    return gain
 
 
 class _Places:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from dynamics.autopilot_settings import AutopilotSettings
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.rate_loop import autopilot_gains, rate_controller, rate_loop
@@ -25,9 +26,9 @@ ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 def default_tuning(
     vehicle: Vehicle, hidden: Sequence[EffectUse] = (), catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> Tuning:
-    """Gains of the vehicle file's [autopilot], else derived from the vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
+    """Gains of the vehicle file's [autopilot], else derived from the vehicle; PX4's for `vehicles/px4_sih.toml`.
 
-    hidden: effects that the vehicle file does not name. The derived gains suit the real vehicle, slow motors included.
+    hidden: effects that the vehicle file does not name. Derived gains suit the real vehicle, slow motors included.
     """
     gains = autopilot_gains(vehicle, hidden, catalogue)
     inner = rate_controller(vehicle, gains)
@@ -43,6 +44,11 @@ def default_tuning(
         acceleration_cutoff=inner.acceleration_cutoff,
         yaw_torque_cutoff=inner.yaw_torque_cutoff,
     )
+
+
+def rate_gains(tuning: Tuning) -> AutopilotSettings:
+    """The gains of the rate loop, as a companion reads them from the autopilot."""
+    return AutopilotSettings(tuning.rate_gain_p, tuning.gyro_cutoff, tuning.yaw_torque_cutoff)
 
 
 def parameter_values(tuning: Tuning) -> dict[str, float]:
