@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,6 +29,8 @@ STEP = 0.001  # s, of the autopilot and of the vehicle
 REDUCED = 12  # rigid-body states with a rotation vector in place of the quaternion
 DIFFERENCE = 1e-5  # of a state, by which it is linearised; of an input, times its hover speed
 QUEUE = round(ACTUATION_DELAY / STEP)
+NEGLIGIBLE = 1e-6  # of an eigenvalue: what it belongs to has passed within a period
+ALIKE = 0.15  # relative distance of a swing that the loop hardly moves
 MAX_STEP = 0.05  # s, of a model
 MEMORY = 4  # ticks of inputs and hidden states that the controller remembers here
 SLOWEST = 2.0  # rad/s, below which a pole is no oscillation of the attitude
@@ -49,9 +51,15 @@ class HoverModel:
     state: Floats
     rotor_speed: Floats
     lagged: tuple[slice, ...] = ()
+    _known: dict[float, tuple[Floats, Floats]] = field(default_factory=dict)
 
     def over(self, seconds: float) -> tuple[Floats, Floats]:
         """A (n, n) and B (n, nu) of one step over a time, s."""
+        if seconds not in self._known:
+            self._known[seconds] = self._linearised(seconds)
+        return self._known[seconds]
+
+    def _linearised(self, seconds: float) -> tuple[Floats, Floats]:
         size, inputs = self.state.size - 1, self.rotor_speed.size
         still, hover = np.zeros(size), np.zeros(inputs)
         scale = DIFFERENCE * self.rotor_speed
@@ -146,6 +154,13 @@ class LinearController:
     command: Floats
     predict: tuple[Floats, Floats]
 
+    @property
+    def swings(self) -> Floats:
+        """Poles, 1/s, with which hidden states of its model swing by themselves, as a load on a line does."""
+        values = np.linalg.eigvals(self.predict[0][REDUCED:, REDUCED:]).astype(complex)
+        poles = np.log(values[np.abs(values) > NEGLIGIBLE]) / STEP
+        return np.asarray(poles[poles.imag > SLOWEST])
+
 
 def linear_controller(model: HoverModel, options: ControllerOptions, vehicle: Vehicle) -> LinearController:
     """The controller that plans with a model. vehicle: of the model, as it hovers."""
@@ -171,6 +186,7 @@ def closed_loop_poles(
 ) -> Floats:
     """Poles, 1/s, of a controller on a vehicle whose autopilot has a rate controller.
 
+    Without those of a load that swings by itself no less: the loop does not cause it and no measurement shows it.
     plant: the vehicle as it is. vehicle: the same as the autopilot's mixer knows it.
     """
     states = _Places(controller, plant, timing)
@@ -186,7 +202,10 @@ def closed_loop_poles(
             matrix = _sampled(states) @ matrix
         matrix = inner @ matrix
     values = np.linalg.eigvals(matrix)
-    return np.asarray(np.log(values[np.abs(values) > 1e-6]) / controller.options.period)
+    poles = np.log(values[np.abs(values) > NEGLIGIBLE].astype(complex)) / controller.options.period
+    for swing in controller.swings:
+        poles = poles[(np.abs(poles - swing) > ALIKE * np.abs(swing)) | (poles.real > swing.real)]
+    return np.asarray(poles)
 
 
 def least_damped(poles: Floats) -> Oscillation:
