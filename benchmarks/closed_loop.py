@@ -1,7 +1,8 @@
 """Damping of controller, autopilot and vehicle in hover, for the files that `alula add` can write.
 
 Each file flies on the vehicle that it describes, with the gains of an autopilot that was tuned for the file before the
-first addition; then with motor lag, inertia, rate-loop gain and latency off by the ratios below, all combinations.
+first addition; then with motor lag, inertia, rate-loop gain and latency off by the ratios below, in all
+combinations.
 Linear poles (`runtime.control.closed_loop`); nothing is flown.
 
     python -m benchmarks.closed_loop      some minutes
@@ -24,18 +25,23 @@ def row(name: str, added: str, versions: tuple[Vehicle, ...]) -> str:
     as_stated = oscillation(written, written, owner)
     uncorrected = oscillation(owner, written, owner)
     blind = oscillation(written, written, owner, gains_read=False)
-    worst, where = least(written, written, owner)
-    before, _ = least(owner, written, owner)
+    lowest, where = worst(written, written, owner)
+    before, _ = worst(owner, written, owner)
     lag = f"{1e3 * modelled_motor_lag(written.effects):.0f}"
     cells = [name, added, lag, f"{gain:.1f}", f"{uncorrected.damping:.2f}", f"{before:.2f}"]
-    cells += [f"{as_stated.damping:.2f} at {as_stated.frequency:.1f} Hz", f"{blind.damping:.2f}", f"{worst:.2f}", where]
+    cells += [
+        f"{as_stated.damping:.2f} at {as_stated.frequency:.1f} Hz",
+        f"{blind.damping:.2f}",
+        f"{lowest:.2f}",
+        where,
+    ]
     return f"| {' | '.join(cells)} |"
 
 
-def least(flown: Vehicle, real: Vehicle, owner: Vehicle) -> tuple[float, str]:
+def worst(flown: Vehicle, real: Vehicle, owner: Vehicle) -> tuple[float, str]:
     """The least damping over all meetings, and where."""
-    found = [(oscillation(flown, real, owner, meeting).damping, meeting) for meeting in MEETINGS]
-    damping, meeting = min(found, key=lambda pair: pair[0])
+    dampings = [(oscillation(flown, real, owner, meeting).damping, meeting) for meeting in MEETINGS]
+    damping, meeting = min(dampings, key=lambda pair: pair[0])
     return damping, described(meeting)
 
 

@@ -14,8 +14,8 @@ from runtime.control.closed_loop import (
     Oscillation,
     Timing,
     closed_loop_poles,
-    least_damped,
     linear_controller,
+    worst_damped,
 )
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.link.problem import Problem
@@ -48,17 +48,17 @@ def oscillation_problem(controller: Controller, vehicle: Vehicle, gains: Autopil
         return None  # its columns are not those of a hover
     gains = gains or autopilot_gains(vehicle)
     hover = solver_hover(controller)
-    found = _oscillation(controller, hover, vehicle, gains, controller.options)
-    if found.damping >= MIN_DAMPING:
+    oscillation = _oscillation(controller, hover, vehicle, gains, controller.options)
+    if oscillation.damping >= MIN_DAMPING:
         return None
     loop = rate_loop(vehicle, gains=gains)
-    what = "oscillate, more and more," if not found.is_stable else "oscillate"
+    what = "oscillate, more and more," if not oscillation.is_stable else "oscillate"
     text = (
-        f"Controller and autopilot would {what} at {found.frequency:.1f} Hz (damping {found.damping:.2f}, at least "
+        f"Controller and autopilot would {what} at {oscillation.frequency:.1f} Hz (damping {oscillation.damping:.2f}, at least "
         f"{MIN_DAMPING:g} is wanted): rates are held with a gain of {loop.tilt_speed:.1f} 1/s behind motors that lag "
         f"by {1e3 * loop.motor_lag:.0f} ms. {_advice(controller, hover, vehicle, gains)}"
     )
-    return Problem("warning" if found.is_stable else "error", text)
+    return Problem("warning" if oscillation.is_stable else "error", text)
 
 
 def _advice(controller: Controller, hover: HoverModel, vehicle: Vehicle, gains: AutopilotSettings) -> str:
@@ -83,4 +83,4 @@ def _oscillation(
 ) -> Oscillation:
     linear = linear_controller(hover, options, controller.trim)
     inner = rate_controller(vehicle, gains)
-    return least_damped(closed_loop_poles(linear, hover, vehicle, inner, Timing(latency=options.delay)))
+    return worst_damped(closed_loop_poles(linear, hover, vehicle, inner, Timing(latency=options.delay)))

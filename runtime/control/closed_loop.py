@@ -44,20 +44,20 @@ class HoverModel:
     step: (state (nx,), rotor speeds (nu,) rad/s, s) -> next state (nx,).
     state: (nx,) of the hover, at rest and level.
     rotor_speed: (nu,) rad/s.
-    lagged: places of the rotors' real speeds in a whole state, one for each lag of theirs.
+    lagged: places of the rotors' real speeds in a state state, one for each lag of theirs.
     """
 
     step: Step
     state: Floats
     rotor_speed: Floats
     lagged: tuple[slice, ...] = ()
-    _known: dict[float, tuple[Floats, Floats]] = field(default_factory=dict)
+    _linear: dict[float, tuple[Floats, Floats]] = field(default_factory=dict)
 
     def over(self, seconds: float) -> tuple[Floats, Floats]:
         """A (n, n) and B (n, nu) of one step over a time, s."""
-        if seconds not in self._known:
-            self._known[seconds] = self._linearised(seconds)
-        return self._known[seconds]
+        if seconds not in self._linear:
+            self._linear[seconds] = self._linearised(seconds)
+        return self._linear[seconds]
 
     def _linearised(self, seconds: float) -> tuple[Floats, Floats]:
         size, inputs = self.state.size - 1, self.rotor_speed.size
@@ -77,23 +77,23 @@ class HoverModel:
 
     def _slope(self, seconds: float, state: Floats, speed: Floats, size: float) -> Floats:
         up, down = (
-            self._reduced(self.step(self._whole(sign * state), self.rotor_speed + sign * speed, seconds))
+            self._reduced(self.step(self._full_state(sign * state), self.rotor_speed + sign * speed, seconds))
             for sign in (1, -1)
         )
         return np.asarray((up - down) / (2 * size))
 
-    def _whole(self, reduced: Floats) -> Floats:
-        whole = self.state.copy()
+    def _full_state(self, reduced: Floats) -> Floats:
+        state = self.state.copy()
         half = 0.5 * reduced[6:9]
-        whole[:6] += reduced[:6]
-        whole[ATTITUDE] = [math.sqrt(1 - half @ half), *half]
-        whole[RATE] += reduced[9:REDUCED]
-        whole[RIGID_BODY_STATES:] += reduced[REDUCED:]
-        return whole
+        state[:6] += reduced[:6]
+        state[ATTITUDE] = [math.sqrt(1 - half @ half), *half]
+        state[RATE] += reduced[9:REDUCED]
+        state[RIGID_BODY_STATES:] += reduced[REDUCED:]
+        return state
 
-    def _reduced(self, whole: Floats) -> Floats:
-        turned = 2 * whole[ATTITUDE][1:]
-        change = whole - self.state
+    def _reduced(self, state: Floats) -> Floats:
+        turned = 2 * state[ATTITUDE][1:]
+        change = state - self.state
         return np.concatenate([change[:6], turned, change[RATE], change[RIGID_BODY_STATES:]])
 
 
@@ -208,7 +208,7 @@ def closed_loop_poles(
     return np.asarray(poles)
 
 
-def least_damped(poles: Floats) -> Oscillation:
+def worst_damped(poles: Floats) -> Oscillation:
     """The least damped of the poles, 1/s, that are no slow drift."""
     fast = poles[(np.abs(poles) > SLOWEST) & (poles.imag >= 0.0)]
     damping = -fast.real / np.abs(fast)
@@ -279,7 +279,7 @@ def _sampled(states: _Places) -> Floats:
 def _inner_step(states: _Places, plant: HoverModel, vehicle: Vehicle, autopilot: RateController) -> Floats:
     """A millisecond of autopilot and vehicle, as `sitl_mock.vehicle.plant` steps them."""
     A, B = plant.over(STEP)
-    speeds = vehicle.rotors.speed_max**2 / (2 * plant.rotor_speed)  # rad/s of a rotor for its whole thrust
+    speeds = vehicle.rotors.speed_max**2 / (2 * plant.rotor_speed)  # rad/s of a rotor for its state thrust
     speed = speeds[:, None] * mixer(vehicle)
     matrix = np.eye(states.size)
 
