@@ -42,6 +42,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
+from dynamics.rate_loop import with_gains_kept
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
 from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
@@ -126,7 +127,7 @@ def add_effect(
     errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
     _require_no_drift(fitted, vehicle, dataset, errors, thresholds.relevance)
     action = _action(fitted, vehicle)
-    changed = rounded_changes(vehicle, without_command_effects(fitted.vehicle))
+    changed = rounded_changes(vehicle, with_gains_kept(vehicle, without_command_effects(fitted.vehicle), catalogue))
     changed = with_history(changed, action, dataset, errors, date=date, command=command)
     return Addition(
         vehicle=changed,

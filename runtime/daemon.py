@@ -19,12 +19,20 @@ from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
+from runtime.autopilot_parameters import read_rate_gains, read_thrust_curve
 from runtime.control.adaptation import Followed
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
-from runtime.flight.composition import Controllers, build_controllers, build_flyer, vehicle_facts, warm_up
+from runtime.flight.composition import (
+    Controllers,
+    build_controllers,
+    build_flyer,
+    use_lookaheads,
+    vehicle_facts,
+    warm_up,
+)
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
@@ -32,18 +40,18 @@ from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import THRUST_CURVE, rotor_speed
+from runtime.flight.thrust import rotor_speed
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
-from runtime.link.parameters import read_parameter
 from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import EstimatorSample, VehicleStatus
+from runtime.rate_loop_check import oscillation_problem
 from runtime.record.recorder import Recorder
-from runtime.record.records import EventRecord, ParameterRecord
+from runtime.record.records import EventRecord
 from runtime.request_worker import RequestWorker, link_handlers
 from runtime.rotor_loss_note import leave_note, require_no_note
 from runtime.service_manager import ServiceManager
@@ -261,7 +269,8 @@ class Daemon:
         self._report_refusals()
         rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
         request_rates(link, rates)
-        thrust_curve = self._thrust_curve(link)
+        thrust_curve = read_thrust_curve(link, self._recorder, self._announce)
+        self._use_rate_gains(link, controllers)
         self._flyer = build_flyer(
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
@@ -287,16 +296,18 @@ class Daemon:
         self._streams.send(time.monotonic())
         return control
 
-    def _thrust_curve(self, link: Link) -> float:
-        """The autopilot's THR_MDL_FAC, read and recorded."""
-        curve = read_parameter(link, THRUST_CURVE)
-        if curve.value is None:
-            self._announce(f"{THRUST_CURVE} could not be read ({curve.error}); 0 is assumed")
-        factor = float(curve.value or 0.0)
-        if self._recorder is not None:
-            now = time.monotonic()
-            self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
-        return factor
+    def _use_rate_gains(self, link: Link, controllers: Controllers) -> None:
+        """Look ahead as far as the autopilot's own gains require; refuse what would oscillate with them."""
+        gains = read_rate_gains(link, self._vehicle, self._recorder, self._announce)
+        if gains is not None:
+            options = self._controller_options().for_autopilot(self._vehicle, gains)
+            use_lookaheads(controllers, options)
+        for controller in filter(None, controllers):
+            problem = oscillation_problem(controller, self._vehicle, gains)
+            if problem is not None and problem.severity == "error":
+                raise VehicleError(f"The vehicle is not armed: {problem.text}")
+            if problem is not None:
+                self._announce(f"warning: {problem.text}")
 
     def _read_rotors(self, link: Link) -> None:
         """Let speeds of the rotors reach the flight, where it is clear which motor is which rotor."""
