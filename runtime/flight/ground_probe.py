@@ -7,6 +7,7 @@ from enum import Enum
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from runtime.flight.contact import ExternalForce, Persistence, uprightness
+from runtime.flight.thrust import MAX_FILE_ERROR
 
 
 class Ground(Enum):
@@ -33,7 +34,7 @@ class GroundProbe:
     LEVELLING, MAX_LEVELLING = 1.5, 0.4  # rad/s; s for which that thrust is kept in a landing
     FLOOR = 0.3  # thrust per weight
     MIN_DEFICIT = 0.3  # of the weight that the force which would keep it at rest must be to judge the ground
-    DOUBT = 1.3  # factor by which the modelled thrust may be too small
+    DOUBT = MAX_FILE_ERROR  # factor by which the modelled thrust may be too small
     CARRIED, FALLING = 0.6, 0.3  # shares of the force that would keep it at rest which something else gives
     HOLD, HOLD_HIGH = 0.04, 0.3  # s that the force must hold; where the height speaks against the ground
     FALLEN, DOUBTFUL_FALL = 0.5, 0.15  # share of a fall without ground, and m/s, that shows it
