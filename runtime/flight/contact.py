@@ -192,16 +192,28 @@ class LandingContact:
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
     SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
+    PER_THRUST, CHANGE_TIME = 0.3, 0.15  # of a change of thrust, by which its model may be late, within s
     IMPULSE, IMPULSE_FAST = 0.25, 0.5  # of the weight over MEAN_TIME: a descent of 0.25 and 0.5 m/s that ends
 
     def __init__(self) -> None:
         self._slow, self._fast = Persistence(self.HOLD), Persistence(self.HOLD)
+        self._thrusts: deque[tuple[float, float]] = deque()
 
     def update(self, meter: ForceMeter, time: float, *, slow: bool) -> bool:
         """Take one tick. slow: whether the descent is slower than 0.4 m/s. time: s."""
         change = meter.unexplained
         anywhere = self.SIDEWAYS * float(np.linalg.norm(change)) if meter.force.covered else 0.0
-        share = max(meter.force.along_thrust, float(change[2]), anywhere) / GRAVITY
+        allowance = self.PER_THRUST * self._thrust_change(meter.thrust, time)
+        share = (max(meter.force.along_thrust, float(change[2]), anywhere) - allowance) / GRAVITY
         held_slow = self._slow.update(share > self.SHARE, time)
         held_fast = self._fast.update(share > self.SHARE_FAST, time)
         return held_fast or share > self.IMPULSE_FAST or (slow and (held_slow or share > self.IMPULSE))
+
+    def _thrust_change(self, thrust: float, time: float) -> float:
+        """Between the greatest and the smallest thrust of the last moments, m/s^2: its model lags or leads."""
+        thrusts = self._thrusts
+        thrusts.append((time, thrust))
+        while thrusts[0][0] < time - self.CHANGE_TIME:
+            thrusts.popleft()
+        values = [value for _, value in thrusts]
+        return max(values) - min(values)
