@@ -44,8 +44,11 @@ SECONDS, ALOFT = 8.0, 3.0  # s of a reference, and s after lift-off before which
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of the study. thrust: true per modelled, at the start. share: of it that a loss leaves, within `fade` s,
-    `after` s in the air."""
+    """One flight of the study.
+
+    thrust: true per modelled, at the start.
+    share: of it that a loss leaves, within `fade` s, `after` s in the air.
+    """
 
     seed: int
     kind: Kind
@@ -198,7 +201,8 @@ def table(flights: Sequence[Flown]) -> str:
     unable = [one for one in flights if one.case.kind == "loss" and one.capable < HOLDS]
     take_offs = [one for one in flights if one.case.kind == "take-off"]
     lines = [
-        "| flights | count | motors stopped in the air | lift-offs that were none | sink at contact, median, 95 %, worst, m/s "
+        "| flights | count | motors stopped in the air | lift-offs that were none "
+        "| sink at contact, median, 95 %, worst, m/s "
         "| crashes | of them called a landing | contact to motors off, s | rate of tilt then, rad/s "
         "| tilt after contact, degrees |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
@@ -215,14 +219,15 @@ def table(flights: Sequence[Flown]) -> str:
         [
             *lines,
             "",
-            f"Times, rates and tilts are those of flights that did not crash, median, 95 %, worst. At lift-off: clearance "
+            f"Times, rates and tilts are those of flights that did not crash, median, 95 %, worst. At lift-off: "
+            f"clearance "
             f"{lifted} m, effectiveness off by {100 * np.median(known):.0f} % (median), {100 * max(known):.0f} % "
             f"(worst). Not taken off: {len(never)}.",
             "",
             *(
                 f"- seed {one.case.seed}, {one.case.what}, thrust {one.case.thrust:.2f}, to {one.case.share:.2f} in "
-                f"{one.case.fade:.1f} s: lifted at {one.lifted:.2f}, stopped at {one.stopped:.2f} m, sink {one.sink:.1f} "
-                f"m/s, {one.outcome}"
+                f"{one.case.fade:.1f} s: lifted at {one.lifted:.2f}, stopped at {one.stopped:.2f} m, "
+                f"sink {one.sink:.1f} m/s, {one.outcome}"
                 for one in shown
             ),
         ]

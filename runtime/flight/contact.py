@@ -192,7 +192,8 @@ class LandingContact:
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
     SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
-    PER_THRUST, CHANGE_TIME = 0.3, 0.15  # of a change of thrust, by which its model may be late, within s
+    PER_THRUST, CHANGE_TIME = 0.3, 0.15  # of a change of thrust within s, by which its model may be late
+    USUAL_CHANGE = 0.3 * GRAVITY  # m/s^2, of a descent
     IMPULSE, IMPULSE_FAST = 0.25, 0.5  # of the weight over MEAN_TIME: a descent of 0.25 and 0.5 m/s that ends
 
     def __init__(self) -> None:
@@ -203,7 +204,7 @@ class LandingContact:
         """Take one tick. slow: whether the descent is slower than 0.4 m/s. time: s."""
         change = meter.unexplained
         anywhere = self.SIDEWAYS * float(np.linalg.norm(change)) if meter.force.covered else 0.0
-        allowance = self.PER_THRUST * self._thrust_change(meter.thrust, time)
+        allowance = self.PER_THRUST * max(self._thrust_change(meter.thrust, time) - self.USUAL_CHANGE, 0.0)
         share = (max(meter.force.along_thrust, float(change[2]), anywhere) - allowance) / GRAVITY
         held_slow = self._slow.update(share > self.SHARE, time)
         held_fast = self._fast.update(share > self.SHARE_FAST, time)

@@ -552,18 +552,12 @@ class Flyer:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
         if self.events.sinks and self._state is not None:
-            self._sink(decision)
+            # thrust stays the controller's, which takes all that there is while the vehicle sinks too fast
+            decision.rate_body = level_rate(self._state[ATTITUDE], gain=SINK_GAIN, limit=SINK_LIMIT)
         elif self.mission.phase is Phase.TOUCHDOWN:
             decision.rate_body[:2] = np.clip(decision.rate_body[:2], -TOUCHDOWN_RATE, TOUCHDOWN_RATE)
         if self._hand_over is not None:
             decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
-
-    def _sink(self, decision: Decision) -> None:
-        """Stay level where thrust is lost, with all that there is where it does not carry the weight."""
-        assert self._state is not None
-        decision.rate_body = level_rate(self._state[ATTITUDE], gain=SINK_GAIN, limit=SINK_LIMIT)
-        if self._available_thrust < self._vehicle.weight:
-            decision.collective_thrust = self._thrust_limit
 
     def _solve(self, time: float, decision: Decision) -> tuple[Floats, float] | None:
         """Rates and thrust of a fresh solution; None when there is none or it may not be flown."""

@@ -19,7 +19,7 @@ from runtime.link.estimate import StateEstimate
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
 SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
 SLOW_DESCENT = 0.4  # m/s
-LOW = 1.8  # m over the place of take-off by the estimate, whose height is off by 1.5 m at worst, below which ground may be
+LOW = 1.8  # m over the place of take-off by the estimate, off by 1.5 m at worst, below which there may be ground
 STRUCK = 1.5  # m/s of sinking, beyond any touch-down, that ends on something
 SINKING_TIME = 0.3  # s over which it counts
 

@@ -201,7 +201,7 @@ class ThrustLoss:
             if felt + doubted + self.DEVIATIONS * noise / sqrt(len(half)) > (1.0 - self.SHARE) * value * thrust:
                 return 1.0
         self.clear()
-        return max(felt / (value * thrust), 0.0)
+        return max(float(felt) / (value * float(thrust)), 0.0)
 
 
 class EffectivenessEstimator:

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from dynamics import quaternion
 from dynamics.vehicle import GRAVITY
-from runtime.flight.thrust import MAX_FILE_ERROR, EffectivenessEstimator, ThrustMap, curve, curve_inverse, specific_force_z
+from runtime.flight.thrust import (
+    MAX_FILE_ERROR,
+    EffectivenessEstimator,
+    ThrustMap,
+    curve,
+    curve_inverse,
+    specific_force_z,
+)
 
 MASS = 0.25
 MAP = ThrustMap(thrust_max=4.84, vehicle_curve=1.0, autopilot_curve=0.3)
