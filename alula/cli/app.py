@@ -21,6 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 from alula import __version__
 from alula.cli.output import split_output, terminal_width
 from dynamics.errors import AlulaError, RequestError
+from dynamics.workbench_install import workbench_install
 
 INTERRUPTED = 130  # exit code after Ctrl-C
 SUMMARY = "Identifies what a quadrotor's dynamics model is missing, and flies the better model."
@@ -152,7 +153,7 @@ def main() -> None:
         output.finish(end.code)
         raise
     except ModuleNotFoundError as error:
-        advice = "Commands of the workbench need it: pip install 'alula[workbench]'."
+        advice = f"Commands of the workbench need it: {workbench_install()}."
         print(f"alula: {error.name} is not installed. {advice}", file=sys.stderr)
         output.finish(RequestError.exit_code, error)
         sys.exit(RequestError.exit_code)
