@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import signal
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -132,6 +133,12 @@ def _options(
     """Identifies what a quadrotor's dynamics model is missing, and flies the better model."""
 
 
+def _hear_interrupts() -> None:
+    """Let SIGINT end a command that was started in the background, too: a shell's `&` starts it with SIGINT ignored."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Run the command line; an error that a user can cause ends with its message and exit code, not a traceback."""
     words, output = split_output(sys.argv[1:])
@@ -141,6 +148,7 @@ def main() -> None:
     except OSError as error:
         print(f"alula: cannot write the log file {output.log_file!r}: {error.strerror or error}.", file=sys.stderr)
         sys.exit(RequestError.exit_code)
+    _hear_interrupts()
     try:
         app()
     except AlulaError as error:
