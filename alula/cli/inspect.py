@@ -13,6 +13,7 @@ from rich.table import Table
 
 import alula
 from alula.api.inputs import log_paths
+from alula.cli.intake import note_skipped
 from alula.cli.options import Effects, Mapping, Pose
 from alula.cli.output import print_next
 from dynamics.errors import AlulaError, DataError
@@ -63,7 +64,8 @@ def inspect(
     inspections: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
-    paths = log_paths(log)
+    note_skipped(log, mapping)
+    paths = log_paths(log, mapping)
     for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping, pose=pose)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,13 +10,12 @@ from pathlib import Path
 
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_text
+from dynamics.vehicle_folder import vehicle_files_in
+from flights.folder import is_log
+from flights.mapping import read_mapping
 from flights.reading import logs_below
 
 VEHICLE = "vehicle.toml"
-PARTS_OF_A_VEHICLE = ("body", "rotors")  # tables by which its file is recognised
-NO_LOGS = frozenset((
-    ".toml", ".md", ".json", ".jsonl", ".html", ".pdf", ".png", ".svg", ".jpg", ".yaml", ".yml", ".py", ".part",
-))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,20 +49,26 @@ class FleetLog:
 
 
 def find_fleet(
-    folder: Path, vehicle: str | Path | None, *, effect_files: Sequence[Path] = (), without: Path | None = None
+    folder: Path,
+    vehicle: str | Path | None,
+    *,
+    effect_files: Sequence[Path] = (),
+    without: Path | None = None,
+    mapping: Path | None = None,
 ) -> list[FleetLog]:
     """The logs below a folder with their vehicles, in the order of their names.
 
     vehicle: of all logs; None for the nearest `vehicle.toml`, or the only vehicle file of a folder, at or above each
         log inside of the folder.
     without: a folder that holds no logs, that of the results.
+    mapping: column mapping (TOML) of tables.
 
     Raises RequestError for a folder without logs, one that cannot be read, or a vehicle that cannot be used.
     """
     if not folder.is_dir():
         raise RequestError(f"{folder} is no folder. Give a folder of logs: alula diagnose --fleet FOLDER.")
     of_all = None if vehicle is None else read_fleet_vehicle(find_vehicle(vehicle), str(vehicle), effect_files)
-    paths = _log_paths(folder, without)
+    paths = _log_paths(folder, without, mapping)
     if not paths:
         raise RequestError(f"{folder}: no log there. Give a folder with logs in it or below it.")
 
@@ -105,7 +109,7 @@ def vehicle_file_in(place: Path) -> Path | None:
     """
     if (place / VEHICLE).is_file():
         return place / VEHICLE
-    files = [path for path in sorted(place.glob("*.toml")) if _describes_vehicle(path)]
+    files = vehicle_files_in(place)
     if len(files) > 1:
         names = ", ".join(path.name for path in files[:4])
         raise RequestError(f"{place} holds {len(files)} vehicle files ({names}). Name the one to use {VEHICLE}.")
@@ -125,16 +129,7 @@ def read_fleet_vehicle(path: Path, label: str, effect_files: Sequence[Path] = ()
     return FleetVehicle(vehicle.name, label, text, digest.hexdigest())
 
 
-def _describes_vehicle(path: Path) -> bool:
-    """Whether a TOML file has a vehicle's tables, right or wrong."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return False
-    return all(part in table for part in PARTS_OF_A_VEHICLE)
-
-
-def _log_paths(folder: Path, without: Path | None) -> list[Path]:
+def _log_paths(folder: Path, without: Path | None, mapping: Path | None) -> list[Path]:
     """Files that may be logs; a tlog beside a recording of the same name is the same flight."""
     try:
         paths = list(logs_below(folder))
@@ -142,11 +137,12 @@ def _log_paths(folder: Path, without: Path | None) -> list[Path]:
         raise RequestError(
             f"cannot read the folder {error.filename or folder}: {error.strerror or error}. Give one that can be read."
         ) from error
+    columns = None if mapping is None else read_mapping(mapping)
     results = None if without is None else without.resolve()
     return [
         path
         for path in paths
-        if path.suffix.lower() not in NO_LOGS
-        and not (path.suffix == ".tlog" and path.with_suffix(".mcap").exists())
+        if not (path.suffix == ".tlog" and path.with_suffix(".mcap").exists())
         and not (results is not None and path.resolve().is_relative_to(results))
+        and is_log(path, columns)
     ]

@@ -53,15 +53,17 @@ def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ignored", [False, True])
 def test_planning_says_so_at_once_and_ends_at_an_interrupt(tmp_path: Path, ignored: bool) -> None:
     """A shell starts what it puts in the background with SIGINT ignored."""
-    handler = signal.SIG_IGN if ignored else signal.default_int_handler
+    before = signal.getsignal(signal.SIGINT)
+    if ignored:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # which a process inherits
     with subprocess.Popen(
         fly("udpin:127.0.0.1:1", "--reference", "identify"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         cwd=tmp_path,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, handler),
     ) as flight:
+        signal.signal(signal.SIGINT, before)
         assert flight.stdout is not None
         assert flight.stdout.readline().startswith("planning an identification flight")
         flight.send_signal(signal.SIGINT)
