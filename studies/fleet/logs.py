@@ -11,11 +11,12 @@ from pathlib import Path
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_text
 from dynamics.vehicle_folder import vehicle_files_in
-from flights.folder import is_log
-from flights.mapping import read_mapping
 from flights.reading import logs_below
 
 VEHICLE = "vehicle.toml"
+NO_LOGS = frozenset((
+    ".toml", ".md", ".json", ".jsonl", ".html", ".pdf", ".png", ".svg", ".jpg", ".yaml", ".yml", ".py", ".part",
+))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,26 +50,20 @@ class FleetLog:
 
 
 def find_fleet(
-    folder: Path,
-    vehicle: str | Path | None,
-    *,
-    effect_files: Sequence[Path] = (),
-    without: Path | None = None,
-    mapping: Path | None = None,
+    folder: Path, vehicle: str | Path | None, *, effect_files: Sequence[Path] = (), without: Path | None = None
 ) -> list[FleetLog]:
     """The logs below a folder with their vehicles, in the order of their names.
 
     vehicle: of all logs; None for the nearest `vehicle.toml`, or the only vehicle file of a folder, at or above each
         log inside of the folder.
     without: a folder that holds no logs, that of the results.
-    mapping: column mapping (TOML) of tables.
 
     Raises RequestError for a folder without logs, one that cannot be read, or a vehicle that cannot be used.
     """
     if not folder.is_dir():
         raise RequestError(f"{folder} is no folder. Give a folder of logs: alula diagnose --fleet FOLDER.")
     of_all = None if vehicle is None else read_fleet_vehicle(find_vehicle(vehicle), str(vehicle), effect_files)
-    paths = _log_paths(folder, without, mapping)
+    paths = _log_paths(folder, without)
     if not paths:
         raise RequestError(f"{folder}: no log there. Give a folder with logs in it or below it.")
 
@@ -129,7 +124,7 @@ def read_fleet_vehicle(path: Path, label: str, effect_files: Sequence[Path] = ()
     return FleetVehicle(vehicle.name, label, text, digest.hexdigest())
 
 
-def _log_paths(folder: Path, without: Path | None, mapping: Path | None) -> list[Path]:
+def _log_paths(folder: Path, without: Path | None) -> list[Path]:
     """Files that may be logs; a tlog beside a recording of the same name is the same flight."""
     try:
         paths = list(logs_below(folder))
@@ -137,12 +132,11 @@ def _log_paths(folder: Path, without: Path | None, mapping: Path | None) -> list
         raise RequestError(
             f"cannot read the folder {error.filename or folder}: {error.strerror or error}. Give one that can be read."
         ) from error
-    columns = None if mapping is None else read_mapping(mapping)
     results = None if without is None else without.resolve()
     return [
         path
         for path in paths
-        if not (path.suffix == ".tlog" and path.with_suffix(".mcap").exists())
+        if path.suffix.lower() not in NO_LOGS
+        and not (path.suffix == ".tlog" and path.with_suffix(".mcap").exists())
         and not (results is not None and path.resolve().is_relative_to(results))
-        and is_log(path, columns)
     ]

@@ -57,13 +57,7 @@ def run_fleet(options: FleetOptions, progress: Progress | None = None) -> tuple[
     """
     if options.workers is not None and options.workers < 1:
         raise RequestError(f"{options.workers} workers: wanted 1 or more.")
-    logs = find_fleet(
-        options.folder,
-        options.vehicle,
-        effect_files=options.effect_files,
-        without=options.out,
-        mapping=options.mapping,
-    )
+    logs = find_fleet(options.folder, options.vehicle, effect_files=options.effect_files, without=options.out)
     shared = _shared_settings(options)
     limit_library_threads()  # of the processes that are started from here
     with FleetStore(options.out).opened() as store:
