@@ -196,5 +196,5 @@ def _value(text: str) -> Any:
     """A number or a truth value where it is one, else the text; the recipe's own types are checked later."""
     try:
         return msgspec.json.decode(text)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return text
