@@ -132,9 +132,9 @@ def _quaternion_order(on_grid: dict[str, Floats]) -> Contradiction | None:
         return None
     reordered = {**on_grid, "attitude": frames.quaternion_from_xyzw(on_grid["attitude"])}
     fits = [(fit(on_grid), fit(reordered)) for fit in (_turning_fit, _acceleration_fit)]
-    known = [(logged, other) for logged, other in fits if logged is not None and other is not None]
-    clear = [pair for pair in known if pair[1] > _CLEAR_FIT and pair[0] < pair[1] - _CLEARER_FIT]
-    if not clear or any(other < logged for logged, other in known):
+    comparisons = [(logged, other) for logged, other in fits if logged is not None and other is not None]
+    clear = [pair for pair in comparisons if pair[1] > _CLEAR_FIT and pair[0] < pair[1] - _CLEARER_FIT]
+    if not clear or any(other < logged for logged, other in comparisons):
         return None
     return Contradiction(
         "quaternion_order",

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, HoldOut, Mapping, Pose, VehicleOption
 from alula.cli.output import print_next

@@ -20,6 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from alula import __version__
+from alula.cli.escaping import printable
 from alula.cli.output import split_output, terminal_width
 from dynamics.errors import AlulaError, RequestError
 from dynamics.workbench_install import workbench_install
@@ -152,7 +153,7 @@ def main() -> None:
     try:
         app()
     except AlulaError as error:
-        print(f"alula: {error}", file=sys.stderr)
+        print(printable(f"alula: {error}"), file=sys.stderr)
         output.finish(error.exit_code, error)
         sys.exit(error.exit_code)
     except SystemExit as end:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, VehicleOption
 from alula.cli.output import options, print_next, print_written

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from alula.cli.console import Console
 from alula.cli.output import print_next
 from alula.workbench import require_casadi
 from dynamics.command import command_line

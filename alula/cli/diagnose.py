@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.fleet import FLEET, diagnose_fleet
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import note_skipped
 from alula.cli.options import Effects
 from alula.cli.output import print_next

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from alula.api.inputs import names_of
+from alula.cli.escaping import printable
 from alula.workbench import workbench
 from dynamics.errors import RequestError
 from dynamics.vehicle_folder import vehicle_files_in
@@ -36,7 +37,7 @@ def vehicle_beside(logs: Sequence[Path]) -> str | None:
         names = ", ".join(map(str, files.values()))
         raise RequestError(f"{len(files)} vehicle files lie beside the logs: {names}. Give one as --vehicle.")
     for file in files.values():
-        print(f"vehicle file: {file}, beside the logs", file=sys.stderr)
+        print(printable(f"vehicle file: {file}, beside the logs"), file=sys.stderr)
         return str(file)
     return None
 
@@ -52,4 +53,4 @@ def note_skipped(logs: Sequence[Path], mapping: Path | None = None, vehicle: str
     skipped = [file for file in others if vehicle is None or file.resolve() != Path(vehicle).resolve()]
     if skipped:
         what = "1 file that is no log" if len(skipped) == 1 else f"{len(skipped)} files that are no logs"
-        print(f"skipped {what}: {names_of(skipped)}", file=sys.stderr)
+        print(printable(f"skipped {what}: {names_of(skipped)}"), file=sys.stderr)

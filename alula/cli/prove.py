@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, HoldOut, Logs, Mapping, Pose, VehicleOption
 from alula.cli.output import options, print_next

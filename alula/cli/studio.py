@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from alula.api.inputs import log_paths
+from alula.cli.console import Console
 from alula.cli.intake import note_skipped, vehicle_beside
 from alula.cli.options import Effects, HoldOut, Mapping, Pose
 from alula.cli.output import print_next

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.cli.output import print_next

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.cli.output import print_next

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.intake import note_skipped, vehicle_of_logs
 from alula.cli.options import Effects, Logs, VehicleOption
 from alula.cli.options import Mapping as MappingOption

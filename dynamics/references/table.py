@@ -82,7 +82,9 @@ def _rows(reference: Reference) -> Floats:
     """(n, 5) time, position and yaw, as they are written."""
     before_the_end = np.arange(math.ceil(reference.duration / WRITTEN_STEP - 1e-3)) * WRITTEN_STEP
     motion = reference.sample(np.append(before_the_end, reference.duration))
-    return np.round(np.column_stack([motion.time, motion.position, motion.yaw]), WRITTEN_DIGITS)
+    return np.asarray(
+        np.round(np.column_stack([motion.time, motion.position, motion.yaw]), WRITTEN_DIGITS), dtype=float
+    )
 
 
 def _knots(times: Floats) -> NDArray[np.intp]:

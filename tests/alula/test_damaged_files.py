@@ -28,9 +28,9 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_damaged_recording_is_read_up_to_there_or_refused(seed: int, tmp_path: Path) -> None:
-    whole, draw = RECORDED.read_bytes(), random.Random(seed)
+    intact, draw = RECORDED.read_bytes(), random.Random(seed)
     for turn in range(6):
-        content = bytearray(whole)
+        content = bytearray(intact)
         if turn % 2:
             del content[draw.randrange(len(content)) :]
         else:

@@ -250,9 +250,9 @@ def test_the_rounding_of_a_table_is_no_thrust(tmp_path: Path, step: float) -> No
     rows = [f"{t:.4f}," + ",".join(f"{value:.6f}" for value in point) for t, point in zip(times, points, strict=True)]
     read = named_reference(str(write_table(tmp_path / "rounded.csv", rows)), VEHICLE)
     between = interior(planned, 997)
-    thrust, wanted = read.sample(between).rotor_thrust, planned.sample(between).rotor_thrust
+    thrust, unrounded = read.sample(between).rotor_thrust, planned.sample(between).rotor_thrust
     full = VEHICLE.rotors.thrust_constant * VEHICLE.rotors.speed_max**2
-    assert np.abs(thrust - wanted).max() < 0.01 * full
+    assert np.abs(thrust - unrounded).max() < 0.01 * full
 
 
 def test_a_table_that_begins_and_ends_in_motion_gets_a_soft_start_and_stop(tmp_path: Path) -> None:
