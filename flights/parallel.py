@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from dynamics.approvals import Kind
 from dynamics.errors import RequestError, VehicleError
 from dynamics.trust import approve_here, approved_here
+from dynamics.workbench_install import workbench_install
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -132,9 +133,7 @@ def _on_cluster(
     try:
         from dask import distributed  # the flight computer has none
     except ImportError as error:
-        raise RequestError(
-            "--scheduler needs Dask: pip install 'alula[workbench]', or leave the option out."
-        ) from error
+        raise RequestError(f"--scheduler needs Dask: {workbench_install()}, or leave the option out.") from error
     try:
         client = distributed.Client(address, timeout=5, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -317,7 +317,7 @@ def _recorded_manifest(recording: FlightRecording) -> Manifest | None:
     text = recording.attachments.get(MANIFEST)
     try:
         return None if text is None else parse_manifest(text)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
 
 

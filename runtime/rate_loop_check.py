@@ -54,8 +54,8 @@ def oscillation_problem(controller: Controller, vehicle: Vehicle, gains: Autopil
     loop = rate_loop(vehicle, gains=gains)
     what = "oscillate, more and more," if not oscillation.is_stable else "oscillate"
     text = (
-        f"Controller and autopilot would {what} at {oscillation.frequency:.1f} Hz (damping {oscillation.damping:.2f}, at least "
-        f"{MIN_DAMPING:g} is wanted): rates are held with a gain of {loop.tilt_speed:.1f} 1/s behind motors that lag "
+        f"Controller and autopilot would {what} at {oscillation.frequency:.1f} Hz (damping {oscillation.damping:.2f}, wanted: "
+        f"{MIN_DAMPING:g} at least): rates are held with a gain of {loop.tilt_speed:.1f} 1/s behind motors that lag "
         f"by {1e3 * loop.motor_lag:.0f} ms. {_advice(controller, hover, vehicle, gains)}"
     )
     return Problem("warning" if oscillation.is_stable else "error", text)

@@ -156,7 +156,7 @@ class Campaign:
             there = msgspec.json.decode(recipe.read_bytes(), type=CampaignRecipe)
         except OSError as error:
             raise RequestError(f"cannot write to {folder}: {error.strerror or error}. Give another --out.") from error
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise RequestError(f"{recipe} is no campaign's: {error}. Give another --out.") from error
         if there != self.recipe:
             fields = CampaignRecipe.__struct_fields__

@@ -163,7 +163,15 @@ def read_content(path: Path) -> dict[str, Any]:
         raise RequestError(
             f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {REPLACE_IT}"
         ) from error
-    except (RuntimeError, EOFError, ValueError, LookupError, TypeError, pickle.UnpicklingError) as error:
+    except (
+        RuntimeError,
+        EOFError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        pickle.UnpicklingError,
+    ) as error:
         # torch's message advises weights_only=False, which runs the file's code
         raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {REPLACE_IT}") from error
     if not isinstance(content, dict):
@@ -193,7 +201,7 @@ def load(path: str | Path) -> TrainedModel:
     try:
         model = _model(content)
         return model if content["version"] == VERSION else _in_si(model)
-    except (KeyError, TypeError, AttributeError, ValueError, msgspec.MsgspecError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, RuntimeError, msgspec.MsgspecError) as error:
         raise RequestError(
             f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {REPLACE_IT}"
         ) from error

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import note_skipped
 from alula.cli.options import Effects
 from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT
@@ -40,6 +41,7 @@ def evaluate(
     """Evaluate models on held-out flights; with a campaign's flights against ground truth, too."""
     models = [path for path in arguments if path.suffix == ".pt"]
     logs = [path for path in arguments if path.suffix != ".pt"]
+    note_skipped(logs, mapping)
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     with console.status("reading the flights") as status:
         result = alula.evaluate(

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
 from alula.api.reference_file import planned_reference
+from alula.cli.console import Console
 from alula.cli.options import LINK, Effects, LinkOption, Roaming, System
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress

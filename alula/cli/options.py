@@ -10,7 +10,14 @@ import typer
 Logs = Annotated[
     list[Path], typer.Argument(help="Logs of one vehicle in any format, or folders of them.", metavar="LOG...")
 ]
-VehicleOption = Annotated[str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a bundled one.")]
+VehicleOption = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle",
+        help="Vehicle file (TOML), or the name of a bundled one; by default the one in the folder of the logs.",
+        show_default=False,
+    ),
+]
 HoldOut = Annotated[
     str | None,
     typer.Option(

@@ -250,7 +250,7 @@ def _read_manifest(path: Path) -> tuple[Manifest, str]:
         manifest = parse_manifest(content)
     except OSError as error:
         raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
     if manifest.format != FORMAT or manifest.version != VERSION:
         raise RequestError(

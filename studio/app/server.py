@@ -251,7 +251,7 @@ def _picture() -> bytes:
         raise RequestError(f"the picture has more than {MAX_FIGURE >> 20} MB. Zoom in, or save it as PNG.")
     try:
         figure = msgspec.json.decode(body, type=SavedFigure)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"that is no picture: {error}. Send data, layout, width and height.") from None
     return picture_pdf({"data": figure.data, "layout": figure.layout}, width=figure.width, height=figure.height)
 

@@ -50,6 +50,8 @@ class Case:
     @classmethod
     def create(cls, folder: Path, *, name: str = "") -> Case:
         """A new case in a folder that is empty or does not exist. Raises RequestError where there is something."""
+        if folder.exists() and not folder.is_dir():
+            raise RequestError(f"{folder} is a file. Give a case's folder, or a new one; logs stand before --case.")
         if folder.exists() and any(folder.iterdir()):
             raise RequestError(f"{folder} is not empty. Give a new folder for a case, or open the case in it.")
         make_folder(folder, advice=ADVICE)
@@ -346,7 +348,7 @@ def _read_state(folder: Path) -> CaseState:
             advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
             raise RequestError(f"{path} is of format {number!r}. {advice}")
         return msgspec.json.decode(content, type=CaseState)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
 
 

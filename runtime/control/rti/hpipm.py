@@ -18,6 +18,7 @@ from dynamics import symbolic
 from dynamics.codegen import is_compiled_here
 from dynamics.errors import RequestError
 from dynamics.trust import Library, load_given_library, load_own_library
+from dynamics.workbench_install import workbench_install
 
 HPIPM = "libhpipm.so"
 BLASFEO = ("libblasfeo.so.0", "libblasfeo.so")  # the first that exists
@@ -70,8 +71,8 @@ def casadi_hpipm() -> HpipmBuild:
     casadi = util.find_spec("casadi") if symbolic.is_installed() else None
     if casadi is None or casadi.origin is None:
         raise RequestError(
-            "compiling a kernel needs CasADi's HPIPM, which the flight computer's install leaves out: pip install "
-            "'alula[workbench]', or `alula export` the model on a workbench and give `--bundle B` here."
+            "compiling a kernel needs CasADi's HPIPM, which the flight computer's install leaves out: "
+            f"{workbench_install()}, or `alula export` the model on a workbench and give `--bundle B` here."
         )
     root = Path(casadi.origin).parent
     build = _build_in(root / "include", root)
