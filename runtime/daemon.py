@@ -19,12 +19,20 @@ from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
+from runtime.autopilot_parameters import read_rate_gains, read_thrust_curve
 from runtime.control.adaptation import Followed
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
-from runtime.flight.composition import Controllers, build_controllers, build_flyer, vehicle_facts, warm_up
+from runtime.flight.composition import (
+    Controllers,
+    build_controllers,
+    build_flyer,
+    use_lookaheads,
+    vehicle_facts,
+    warm_up,
+)
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
@@ -32,18 +40,18 @@ from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import THRUST_CURVE, rotor_speed
+from runtime.flight.thrust import rotor_speed
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
-from runtime.link.parameters import read_parameter
 from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import EstimatorSample, VehicleStatus
+from runtime.rate_loop_check import oscillation_problem
 from runtime.record.recorder import Recorder
-from runtime.record.records import EventRecord, ParameterRecord
+from runtime.record.records import EventRecord
 from runtime.request_worker import RequestWorker, link_handlers
 from runtime.rotor_loss_note import leave_note, require_no_note
 from runtime.service_manager import ServiceManager
@@ -88,6 +96,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: folder for the recording, None for none.
     name: of the recording; the date and time if empty.
     system: the vehicle's system id, None for the first one heard.
+    roaming: whether the vehicle may continue from another address after a silence.
     timeout: s to wait for the vehicle.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on, None for any.
@@ -103,6 +112,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: Path | None = None
     name: str = ""
     system: int | None = None
+    roaming: bool = False
     timeout: float = 10.0
     priority: int | None = None
     processor: int | None = None
@@ -202,13 +212,16 @@ class Daemon:
             stack.callback(self._service.close)
             self._telemetry = TelemetryBuffer(self._recorder)
             self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
-            settings = LinkSettings(target_system=request.system, priority=self._scheduling.priority)
+            settings = LinkSettings(
+                target_system=request.system, roaming=request.roaming, priority=self._scheduling.priority
+            )
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             # while the link listens
             controllers = build_controllers(self._vehicle, self._bundle, self._controller_options())
             warm_up(controllers, self._reference, request.plan, rate=request.rate)
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
+            link.require_one_vehicle()
             control = self._prepare(link, controllers)
             stack.callback(self._stop, link, control)  # before the first setpoint: whatever fails from now on parts
             self._start(link, control)
@@ -262,7 +275,8 @@ class Daemon:
         self._report_refusals()
         self._rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
         request_rates(link, self._rates)
-        thrust_curve = self._thrust_curve(link)
+        thrust_curve = read_thrust_curve(link, self._recorder, self._announce)
+        self._use_rate_gains(link, controllers)
         self._flyer = build_flyer(
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
@@ -292,16 +306,18 @@ class Daemon:
         self._streams = StreamRequests(partial(request_rates, link), {**self._rates, **SLOW_STREAMS})
         self._streams.send(time.monotonic())
 
-    def _thrust_curve(self, link: Link) -> float:
-        """The autopilot's THR_MDL_FAC, read and recorded."""
-        curve = read_parameter(link, THRUST_CURVE)
-        if curve.value is None:
-            self._announce(f"{THRUST_CURVE} could not be read ({curve.error}); 0 is assumed")
-        factor = float(curve.value or 0.0)
-        if self._recorder is not None:
-            now = time.monotonic()
-            self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
-        return factor
+    def _use_rate_gains(self, link: Link, controllers: Controllers) -> None:
+        """Look ahead as far as the autopilot's own gains require; refuse what would oscillate with them."""
+        gains = read_rate_gains(link, self._vehicle, self._recorder, self._announce)
+        if gains is not None:
+            options = self._controller_options().for_autopilot(self._vehicle, gains)
+            use_lookaheads(controllers, options)
+        for controller in filter(None, controllers):
+            problem = oscillation_problem(controller, self._vehicle, gains)
+            if problem is not None and problem.severity == "error":
+                raise VehicleError(f"The vehicle is not armed: {problem.text}")
+            if problem is not None:
+                self._announce(f"warning: {problem.text}")
 
     def _read_rotors(self, link: Link) -> None:
         """Let speeds of the rotors reach the flight, where it is clear which motor is which rotor."""

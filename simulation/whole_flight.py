@@ -40,6 +40,7 @@ from runtime.telemetry_buffer import LINK_EVENTS
 from sitl_mock.autopilot.autopilot import Autopilot
 from sitl_mock.autopilot.modes import Mode
 from sitl_mock.mock import MockOptions, build_autopilot
+from sitl_mock.vehicle.tuning import rate_gains
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 from sitl_mock.wire.motion_messages import LOCAL_NED
@@ -173,12 +174,12 @@ def fly_whole(
     rotors: message by which the autopilot sends what its rotors do, with every estimate; none by default.
     """
     vehicle = read_vehicle(options.vehicle, effect_files=options.effect_files)
-    if controllers is None:
-        controllers = Controllers(
-            Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD))
-        )
     settings = settings or FlyerSettings(period=CONTROL_PERIOD, health=HealthLimits.for_vehicle(vehicle))
     autopilot = build_autopilot(options)
+    if controllers is None:
+        gains = rate_gains(autopilot.parameters.tuning())
+        choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, gains=gains)
+        controllers = Controllers(Controller.build(vehicle, choice))
     curve = autopilot.parameters["THR_MDL_FAC"]
     flyer = build_flyer(controllers, reference, plan or Plan(origin="takeoff"), settings, thrust_curve=curve)
     return Lockstep(autopilot, flyer, leave_after, rotors).fly(limit, watch)

@@ -134,6 +134,8 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
 
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
     max_rise: of the same that is no loss, when an effect is put in. [definition: that of `min_rise`]
+    max_open_loop_rise: of an error of the open loop over the motion that it predicts, that is no loss. [definition:
+        5 mm of a metre]
     min_axis_floor: of an axis over that of its kind; no axis is without noise. [definition]
     deviations: of an estimate from its neutral value, or of a change from none, that is not chance. [convention: 95 %]
     block: over which errors may be correlated, s. [decisions: intervals come from blocks]
@@ -143,6 +145,7 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
 
     min_rise: Score = 0.02
     max_rise: Score = 0.02
+    max_open_loop_rise: Score = 0.005
     min_axis_floor: Share = 1e-3
     deviations: Positive = 2.0
     block: Positive = 2.0

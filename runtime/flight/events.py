@@ -57,6 +57,7 @@ class Event(Enum):
     DISARMED = "disarmed"
     MODE_CHANGED = "mode_changed"
     THRUST_LIMIT = "thrust_limit"
+    THRUST_LOST = "thrust_lost"
     TAKEOFF_FAILED = "takeoff_failed"
     NOT_UPRIGHT = "not_upright"
     TIPPING = "tipping"
@@ -96,6 +97,7 @@ class Policy:
     clear_after: s of absence before it clears; infinite: it clears only when control is taken again.
     refuses: whether engaging is refused while it is active.
     lands: whether the mission is cut short by a landing.
+    sinks: whether that landing goes straight down, level and with the thrust that there is.
     probes: whether thrust is reduced in flight to find out if the ground carries the vehicle already.
     """
 
@@ -106,6 +108,7 @@ class Policy:
     clear_after: float = 1.0
     refuses: bool = False
     lands: bool = False
+    sinks: bool = False
     probes: bool = False
 
 
@@ -164,6 +167,9 @@ POLICIES: Mapping[Event, Policy] = {
     Event.DISARMED: Policy("the vehicle disarmed", Severity.CRITICAL),
     Event.MODE_CHANGED: Policy("the vehicle left OFFBOARD", Severity.CRITICAL),
     Event.THRUST_LIMIT: Policy("thrust is at its limit", Severity.WARNING, onset=1.0),
+    Event.THRUST_LOST: Policy(
+        "too little thrust is left to fly on", Severity.CRITICAL, clear_after=NEVER, lands=True, sinks=True
+    ),
     Event.TAKEOFF_FAILED: Policy(
         "no lift-off at the greatest take-off thrust", Severity.CRITICAL, clear_after=NEVER, lands=True
     ),
@@ -283,6 +289,11 @@ class EventMonitor:
     def landing_reason(self) -> str:
         """Why the mission has to end with a landing, empty when it does not."""
         return self._text_of(lambda policy: policy.lands)
+
+    @property
+    def sinks(self) -> bool:
+        """Whether an active event requires to land straight down."""
+        return any(POLICIES[event].sinks for event in self._active)
 
     def update(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
         """Take the events present at one tick, with details. Returns what was raised and cleared."""

@@ -134,6 +134,15 @@ class Mission:
         elif self.phase not in (*LANDING, Phase.CONTACT, Phase.SHUTDOWN):
             self._brake(state, time)
 
+    def sink(self, state: Floats, time: float) -> None:
+        """Descend at touch-down speed from where the vehicle is, without braking first. A second call does nothing."""
+        if self.airborne and self.phase is not Phase.TOUCHDOWN:
+            self._touch_down(self._takeoff_frame_pose(state), time)
+
+    def height(self, state: Floats) -> float | None:
+        """Estimated height over the place of take-off, m; None where it is not known. state: (13,)."""
+        return None if self._ground is None else float(self._takeoff_frame_pose(state)[2]) - self._ground
+
     def settle(self, time: float) -> None:
         """Take thrust away level, after a contact."""
         self._enter(Phase.CONTACT, None, time)
