@@ -71,11 +71,11 @@ def is_listed(kind: Kind, sha256: str) -> bool:
 def approve(items: Iterable[tuple[Kind, str, str]]) -> None:
     """Approve contents for good, each by kind, sha256 and name. Raises RequestError where the list cannot be kept."""
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    wanted = [Approval(sha256, kind, name, today) for kind, sha256, name in items]
+    additions = [Approval(sha256, kind, name, today) for kind, sha256, name in items]
 
     def added(before: Sequence[Approval]) -> list[Approval]:
-        known = {(approval.kind, approval.sha256) for approval in before}
-        return [*before, *(approval for approval in wanted if (approval.kind, approval.sha256) not in known)]
+        listed = {(approval.kind, approval.sha256) for approval in before}
+        return [*before, *(approval for approval in additions if (approval.kind, approval.sha256) not in listed)]
 
     _change(added)
 
@@ -87,12 +87,12 @@ def withdraw(sha256s: Sequence[str], names: Sequence[str] = ()) -> tuple[Approva
     """
     removed: list[Approval] = []
 
-    def kept(before: Sequence[Approval]) -> list[Approval]:
+    def remaining(before: Sequence[Approval]) -> list[Approval]:
         beginnings = tuple(sha256 for sha256 in sha256s if len(sha256) >= 8)
         removed[:] = [a for a in before if (beginnings and a.sha256.startswith(beginnings)) or a.name in names]
         return [approval for approval in before if approval not in removed]
 
-    _change(kept)
+    _change(remaining)
     return tuple(removed)
 
 

@@ -94,8 +94,8 @@ def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ())
         return text
     named = [read_effect_file_below(folder, entry) for entry in entries if isinstance(entry, str)]
     carried = as_carried(carried_files(entries))
-    given = [read_effect_file(path) for path in added]
-    of_path = {file.path: file for file in (*carried, *named, *given)}
+    further = [read_effect_file(path) for path in added]
+    of_path = {file.path: file for file in (*carried, *named, *further)}
     return with_texts(text, without_duplicates(of_path.values()))
 
 

@@ -226,14 +226,14 @@ def test_a_shared_library_that_came_along_is_loaded_only_as_the_bytes_that_are_a
     code = {"given.c": "#include <stdio.h>\n__attribute__((constructor)) static void run(void) {"}
     code["given.c"] += f'fclose(fopen("{tmp_path}/RAN", "w"));}}\nint answer(void) {{ return 42; }}\n'
     built = build_library(code, entry="given.c")
-    given = tmp_path / "given.so"
-    given.write_bytes(built.read_bytes())
+    library = tmp_path / "given.so"
+    library.write_bytes(built.read_bytes())
     with pytest.raises(RequestError, match="machine code that would run as you"):
-        load_given_library(given)
+        load_given_library(library)
     assert not (tmp_path / "RAN").exists()
     (tmp_path / "MAY_RUN").touch()
-    trust.approve_here([("library", trust.hashlib.sha256(given.read_bytes()).hexdigest())])
-    assert load_given_library(given).answer() == 42
+    trust.approve_here([("library", trust.hashlib.sha256(library.read_bytes()).hexdigest())])
+    assert load_given_library(library).answer() == 42
     assert (tmp_path / "RAN").exists()
 
 
@@ -271,38 +271,38 @@ ROOMS = (
 
 def _uses(path: Path) -> set[str]:
     """How a module may run what it has read: calls and imports by name."""
-    found = set()
+    uses = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         match node:
             case ast.Call(func=ast.Name(id=name)) if name in RUNNING:
-                found.add(name)
+                uses.add(name)
             case ast.Call(func=ast.Attribute(attr="import_module"), args=[ast.Constant()]):
                 pass
             case ast.Call(func=ast.Attribute(attr="import_module") | ast.Name(id="import_module")):
-                found.add("import_module")
+                uses.add("import_module")
             case ast.Call(func=ast.Attribute(attr="load", value=ast.Name(id="torch")), keywords=keywords):
                 safe = [
                     k
                     for k in keywords
                     if k.arg == "weights_only" and isinstance(k.value, ast.Constant) and k.value.value
                 ]
-                found |= set() if safe else {"torch.load"}
+                uses |= set() if safe else {"torch.load"}
             case ast.keyword(arg="allow_pickle", value=ast.Constant(value=True)):
-                found.add("allow_pickle")
+                uses.add("allow_pickle")
             case ast.Import(names=names):
-                found |= {name.name for name in names} & RUNNERS
+                uses |= {name.name for name in names} & RUNNERS
             case ast.ImportFrom(module=module, names=names):
-                found |= {f"{module}.{name.name}" for name in names} & RUNNERS | {str(module)} & RUNNERS
+                uses |= {f"{module}.{name.name}" for name in names} & RUNNERS | {str(module)} & RUNNERS
             case ast.Attribute() if (name := ast.unparse(node)) in RUNNERS:
-                found.add(name)
-    return found
+                uses.add(name)
+    return uses
 
 
 def test_no_other_module_runs_what_a_user_or_a_file_names() -> None:
     files = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
     assert len(files) > 400
-    found = {(str(path.relative_to(ROOT)), use) for path in files for use in _uses(path)}
-    assert found == ALLOWED
+    uses = {(str(path.relative_to(ROOT)), use) for path in files for use in _uses(path)}
+    assert uses == ALLOWED
 
 
 @pytest.mark.parametrize(

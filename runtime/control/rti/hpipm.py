@@ -95,11 +95,11 @@ def load_kernel(library: Path, *, own: bool = False) -> Library:
     a kernel of a bundle that the user has not approved.
     """
     load = load_own_library if own or is_compiled_here(library) else load_given_library
-    beside = libraries_in(library.parent)
+    bundled = libraries_in(library.parent)
     try:
-        for dependency in beside or find_hpipm().libraries:
+        for dependency in bundled or find_hpipm().libraries:
             _require_same(dependency)
-            (load if beside else load_own_library)(dependency)
+            (load if bundled else load_own_library)(dependency)
         return load(library)
     except OSError as error:
         raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
