@@ -335,7 +335,7 @@ def _recorded_vehicle(recording: FlightRecording, effect_files: Sequence[str | P
             )
     files = further or flown
     if not files and (entries := effect_entries(recording.attachments[VEHICLE_TEXT])):
-        raise DataError(f"{recording.path} names {entries[0]} and does not hold it. Give it with --effects.")
+        raise RequestError(f"{recording.path} names {entries[0]} and does not hold it. Give it with --effects.")
     require_approved(files, carrier=recording.path)
     return parse_vehicle(with_texts(recording.attachments[VEHICLE_TEXT], files))
 
