@@ -71,11 +71,11 @@ def is_listed(kind: Kind, sha256: str) -> bool:
 def approve(items: Iterable[tuple[Kind, str, str]]) -> None:
     """Approve contents for good, each by kind, sha256 and name. Raises RequestError where the list cannot be kept."""
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    requested = [Approval(sha256, kind, name, today) for kind, sha256, name in items]
+    additions = [Approval(sha256, kind, name, today) for kind, sha256, name in items]
 
     def added(before: Sequence[Approval]) -> list[Approval]:
         listed = {(approval.kind, approval.sha256) for approval in before}
-        return [*before, *(approval for approval in requested if (approval.kind, approval.sha256) not in listed)]
+        return [*before, *(approval for approval in additions if (approval.kind, approval.sha256) not in listed)]
 
     _change(added)
 

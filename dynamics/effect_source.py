@@ -116,10 +116,10 @@ def as_carried(files: Iterable[EffectFile]) -> list[EffectFile]:
 
 def without_duplicates(files: Iterable[EffectFile]) -> list[EffectFile]:
     """Every content once, in the order in which it comes first."""
-    distinct: dict[str, EffectFile] = {}
+    of_content: dict[str, EffectFile] = {}
     for file in files:
-        distinct.setdefault(file.sha256, file)
-    return list(distinct.values())
+        of_content.setdefault(file.sha256, file)
+    return list(of_content.values())
 
 
 def tables_toml(files: Sequence[EffectFile]) -> str:

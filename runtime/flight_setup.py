@@ -328,17 +328,17 @@ def _recorded_vehicle(recording: FlightRecording, effect_files: Sequence[str | P
     approved: the recording's own texts are data.
     """
     flown = recorded_effect_files(recording)
-    replacing = [read_effect_file(path) for path in effect_files]
-    for file in replacing:
+    further = [read_effect_file(path) for path in effect_files]
+    for file in further:
         flown_so = {other.sha256 for other in flown if other.name == file.name}
         if flown_so and file.sha256 not in flown_so:
             raise DataError(
                 f"{recording.path} was flown with another {file.name}: the recording holds it as the attachment "
                 f"{EFFECT_FOLDER}{file.name}. Put that back, or give it with --effects."
             )
-    files = replacing or flown
+    files = further or flown
     if not files and (entries := effect_entries(recording.attachments[VEHICLE_TEXT])):
-        raise DataError(f"{recording.path} names {entries[0]} and does not hold it. Give it with --effects.")
+        raise RequestError(f"{recording.path} names {entries[0]} and does not hold it. Give it with --effects.")
     require_approved(files, carrier=recording.path)
     return parse_vehicle(with_texts(recording.attachments[VEHICLE_TEXT], files))
 

@@ -50,9 +50,9 @@ def trust(files: str | Path | Sequence[str | Path]) -> tuple[Trusted, ...]:
     from dynamics.approvals import approve
 
     paths = [files] if isinstance(files, (str, Path)) else files
-    approved = [trusted for path in paths for trusted in code_in(Path(path))]
-    approve((trusted.kind, trusted.sha256, _known_as(trusted)) for trusted in approved)
-    return tuple(approved)
+    contents = [trusted for path in paths for trusted in code_in(Path(path))]
+    approve((trusted.kind, trusted.sha256, _known_as(trusted)) for trusted in contents)
+    return tuple(contents)
 
 
 def code_in(path: Path) -> list[Trusted]:
