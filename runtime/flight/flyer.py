@@ -298,8 +298,9 @@ class Flyer:
         if self.adaptation is not None:
             force -= self.adaptation.specific_drag(now.state)
         landing, velocity = self.mission.phase in LANDING, now.velocity_world
+        near = landing and self._ground.may_be_near(self.mission, now.state, reported_landed=False)
         climb = float(quaternion.rotate_inverse(now.attitude, velocity)[2])
-        self.effectiveness.measure(force, now.time, float(np.linalg.norm(velocity)), climb=climb, landing=landing)
+        self.effectiveness.measure(force, now.time, float(np.linalg.norm(velocity)), climb=climb, landing=near)
         if (left := self._available_thrust / self._vehicle.weight) < MIN_THRUST:
             self._pending[Event.THRUST_LOST] = f"at most {left:.2f} of the weight"
         if landing:
@@ -524,10 +525,10 @@ class Flyer:
         time, ground, state = observation.time, self._ground, self._state
         current = self._estimate is not None and self._health.is_current(self._estimate, time)
         low = ground.may_be_near(self.mission, state, reported_landed=observation.landed)
-        decision.rate_body, decision.collective_thrust, found = self._settling.command(
+        decision.rate_body, decision.collective_thrust, verdict = self._settling.command(
             state, ground.meter, time, current=current, low=low
         )
-        match found:
+        match verdict:
             case Ground.CARRIES:
                 if cause := self._settling.cause or ground.blow:
                     self._ending.crashed = self._pending[Event.CRASHED] = cause

@@ -44,7 +44,7 @@ class Settling:
     def command(
         self, state: Floats, meter: ForceMeter, time: float, *, current: bool, low: bool
     ) -> tuple[Floats, float, Ground]:
-        """Rates, rad/s, and thrust, N, to send, and what was found.
+        """Rates, rad/s, and thrust, N, to send, and what was verdict.
 
         state: (13,). time: s. current: whether the state is. low: whether the height allows for the ground.
         """
@@ -54,13 +54,13 @@ class Settling:
         self._last = time
         if self._carried_since is None:
             climb_rate = float(state[VELOCITY][2])
-            found = self._probe.update(meter.force, meter.thrust, attitude, time, climb_rate=climb_rate, low=low)
-            if found is Ground.CARRIES:
+            verdict = self._probe.update(meter.force, meter.thrust, attitude, time, climb_rate=climb_rate, low=low)
+            if verdict is Ground.CARRIES:
                 self._carried_since = time
             limit = self._rate_limit if self.cause else LEVEL_LIMIT
             rate = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
-            if found is not Ground.CARRIES:
-                return rate, self._probe.thrust(time), found
+            if verdict is not Ground.CARRIES:
+                return rate, self._probe.thrust(time), verdict
         turning = current and self._tilting.value > STILL
         if turning and self._carried_since is not None and time - self._carried_since < MAX_BRAKING:
             return ZERO_RATE, self._probe.thrust(time), Ground.OPEN
