@@ -89,7 +89,7 @@ class Flown:
     events: tuple[str, ...]
 
     @property
-    def said_landed(self) -> bool:
+    def false_landing(self) -> bool:
         """Whether a crash was called a landing."""
         return self.sink > CRASH and self.outcome.startswith("landed")
 
@@ -190,7 +190,7 @@ def row(name: str, flights: Sequence[Flown]) -> str:
     return (
         f"| {name} | {len(flights)} | {sum(one.stopped > 0 for one in flights)} "
         f"| {sum(one.lifted < 0 for one in flights)} | {quantiles([one.sink for one in flights])} "
-        f"| {sum(one.sink > CRASH for one in flights)} | {sum(one.said_landed for one in flights)} "
+        f"| {sum(one.sink > CRASH for one in flights)} | {sum(one.false_landing for one in flights)} "
         f"| {quantiles([one.off for one in soft])} | {quantiles([one.rate for one in soft])} "
         f"| {quantiles([one.tilt for one in soft])} |"
     )
@@ -215,7 +215,7 @@ def table(flights: Sequence[Flown]) -> str:
     estimated = [abs(log(one.estimated)) for one in flights if one.estimated > 0]
     lifted = quantiles([one.lifted for one in flights if one.lifted >= 0])
     never = [one for one in flights if np.isnan(one.lifted)]
-    shown = [one for one in flights if one.stopped or one.lifted < 0 or one.said_landed or np.isnan(one.lifted)]
+    shown = [one for one in flights if one.stopped or one.lifted < 0 or one.false_landing or np.isnan(one.lifted)]
     return "\n".join(
         [
             *lines,
