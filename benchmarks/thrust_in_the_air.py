@@ -67,7 +67,7 @@ class Flown:
     """What became of a case.
 
     lifted: clearance at which the ramp counted as lifted, m; negative while the ground still carried the vehicle.
-    known: estimated over true thrust, at lift-off.
+    estimated: estimated over true thrust, at lift-off.
     stopped: greatest clearance without thrust after lift-off, m; 0 if it was never off in the air.
     sink: m/s at the first contact after the flight; nan without one.
     off: s from the last contact to no thrust. rate: rad/s of tilting then.
@@ -77,7 +77,7 @@ class Flown:
 
     case: Case
     lifted: float
-    ratio_error: float
+    estimated: float
     stopped: float
     sink: float
     off: float
@@ -89,7 +89,7 @@ class Flown:
     events: tuple[str, ...]
 
     @property
-    def reported_landed(self) -> bool:
+    def false_landing(self) -> bool:
         """Whether a crash was called a landing."""
         return self.sink > CRASH and self.outcome.startswith("landed")
 
@@ -119,7 +119,7 @@ class ThrustLoss:
 
     def __init__(self, case: Case) -> None:
         self._case, self._since, self._present = case, inf, 1.0
-        self.lifted, self.ratio_error = nan, nan
+        self.lifted, self.estimated = nan, nan
 
     def __call__(self, lockstep: Lockstep) -> None:
         """Called before each tick."""
@@ -128,7 +128,7 @@ class ThrustLoss:
             self._since = vehicle.time
             carried = vehicle.ground_force > CARRIED
             self.lifted = -vehicle.ground_force if carried else vehicle.clearance
-            self.ratio_error = flyer.effectiveness.value / case.thrust
+            self.estimated = flyer.effectiveness.value / case.thrust
         elapsed = vehicle.time - self._since - case.after
         if elapsed < 0.0 or self._present == case.share or elapsed == -inf:
             return
@@ -162,7 +162,8 @@ def measured(case: Case, flight: WholeFlight, loss: ThrustLoss, *, hover: float,
     flown = np.maximum.accumulate(height > 0.1)
     sink = off = rate = tilt = nan
     after = np.flatnonzero(flown)
-    stopped = float(height[flown & none].max(initial=0.0))
+    by_us = none & (np.array(flight.setpoints_sent) | ~armed)  # an autopilot that was left the vehicle flies it itself
+    stopped = float(height[flown & by_us].max(initial=0.0))
     touched = after[carried[after] > CARRIED]
     if touched.size:
         sink = float(max(-truth[touched[0] - 3 : touched[0] + 1, VELOCITY.start + 2]))
@@ -173,8 +174,8 @@ def measured(case: Case, flight: WholeFlight, loss: ThrustLoss, *, hover: float,
         rate = float(np.linalg.norm(truth[end, RATE][:2]))
         tilt = float(np.degrees(max(0.0, flight.tilt[contact:].max() - case.ground.slope)))
     events = tuple(event.value for _, event, _ in flight.events if event is not Event.ESTIMATE_JUMP)
-    ratio_error = (loss.lifted, loss.ratio_error, stopped if stopped > HIGH else 0.0)
-    return Flown(case, *ratio_error, sink, off, rate, tilt, capable, flight.landed, flight.outcome, events)
+    estimated = (loss.lifted, loss.estimated, stopped if stopped > HIGH else 0.0)
+    return Flown(case, *estimated, sink, off, rate, tilt, capable, flight.landed, flight.outcome, events)
 
 
 def quantiles(values: Sequence[float]) -> str:
@@ -189,7 +190,7 @@ def row(name: str, flights: Sequence[Flown]) -> str:
     return (
         f"| {name} | {len(flights)} | {sum(one.stopped > 0 for one in flights)} "
         f"| {sum(one.lifted < 0 for one in flights)} | {quantiles([one.sink for one in flights])} "
-        f"| {sum(one.sink > CRASH for one in flights)} | {sum(one.said_landed for one in flights)} "
+        f"| {sum(one.sink > CRASH for one in flights)} | {sum(one.false_landing for one in flights)} "
         f"| {quantiles([one.off for one in soft])} | {quantiles([one.rate for one in soft])} "
         f"| {quantiles([one.tilt for one in soft])} |"
     )
@@ -211,17 +212,17 @@ def table(flights: Sequence[Flown]) -> str:
         row(f"losses that leave {HOLDS} of the weight or more", able),
         row("losses that leave less", unable),
     ]
-    ratio_error = [abs(log(one.ratio_error)) for one in flights if one.ratio_error > 0]
+    estimated = [abs(log(one.estimated)) for one in flights if one.estimated > 0]
     lifted = quantiles([one.lifted for one in flights if one.lifted >= 0])
     never = [one for one in flights if np.isnan(one.lifted)]
-    shown = [one for one in flights if one.stopped or one.lifted < 0 or one.reported_landed or np.isnan(one.lifted)]
+    shown = [one for one in flights if one.stopped or one.lifted < 0 or one.false_landing or np.isnan(one.lifted)]
     return "\n".join(
         [
             *lines,
             "",
             f"Times, rates and tilts are those of flights that did not crash, median, 95 %, worst. At lift-off: "
-            f"clearance "
-            f"{lifted} m, effectiveness off by {100 * np.median(ratio_error):.0f} % (median), {100 * max(ratio_error):.0f} % "
+            f"clearance {lifted} m, "
+            f"effectiveness off by {100 * np.median(estimated):.0f} % (median), {100 * max(estimated):.0f} % "
             f"(worst). Not taken off: {len(never)}.",
             "",
             *(

@@ -70,6 +70,7 @@ class WholeFlight:
     reference: (ticks, 3) position of the reference in the estimator's frame, m; NaN where none is tracked.
     phases: (ticks,) of the mission.
     thrust: (ticks,) collective thrust sent, N; 0 where nothing is sent.
+    setpoints_sent: (ticks,) whether a setpoint was sent.
     armed: (ticks,) whether the motors may turn.
     ground_force: (ticks,) share of the weight that the ground carries.
     clearance: (ticks,) distance of the feet from the ground, m.
@@ -87,6 +88,7 @@ class WholeFlight:
     reference: list[Floats] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     thrust: list[float] = field(default_factory=list)
+    setpoints_sent: list[bool] = field(default_factory=list)
     armed: list[bool] = field(default_factory=list)
     ground_force: list[float] = field(default_factory=list)
     clearance: list[float] = field(default_factory=list)
@@ -370,6 +372,7 @@ class Lockstep:
         flight.ground_force.append(self.vehicle.ground_force)
         flight.clearance.append(self.vehicle.clearance)
         flight.thrust.append(decision.collective_thrust if decision.rate_body is not None else 0.0)
+        flight.setpoints_sent.append(decision.rate_body is not None)
         flight.armed.append(self.autopilot.commander.armed)
         raised = [change for change in decision.event_changes if change.active]
         flight.events += [(change.time, change.event, change.detail) for change in raised]

@@ -72,8 +72,10 @@ class GroundProbe:
         falls = self._climb_rate - climb_rate > self.FALLEN * self._expected + self.DOUBTFUL_FALL
         judged = force.covered and deficit > self.MIN_DEFICIT * GRAVITY
         felt = force.up + lift
-        max_lift = max(lift, 0.0) * self.DOUBT
-        certain = judged and felt - max_lift > self.CARRIED * max(GRAVITY - max_lift, self.MIN_DEFICIT * GRAVITY)
+        greatest_lift = max(lift, 0.0) * self.DOUBT
+        certain = judged and felt - greatest_lift > self.CARRIED * max(
+            GRAVITY - greatest_lift, self.MIN_DEFICIT * GRAVITY
+        )
         carried = self._carried.update(certain and not falls, time)
         lasting = self._lasting.update(certain and not falls, time)
         if (carried if low else lasting) and time >= self._ramp:  # levelled

@@ -44,7 +44,7 @@ class Settling:
     def command(
         self, state: Floats, meter: ForceMeter, time: float, *, current: bool, low: bool
     ) -> tuple[Floats, float, Ground]:
-        """Rates, rad/s, and thrust, N, to send, and what was found.
+        """Rates, rad/s, and thrust, N, to send, and what was verdict.
 
         state: (13,). time: s. current: whether the state is. low: whether the height allows for the ground.
         """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, isfinite, nan, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 
 import msgspec
 import numpy as np
@@ -213,6 +213,8 @@ class EffectivenessEstimator:
     value: k. initial: the same at lift-off.
     """
 
+    SETTLING = 1.0  # s after a loss, in which the filter follows in a landing as well: a fifth of a second is noisy
+
     def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
         """mass: kg, of the controller's model; an error of it is part of the effectiveness."""
         self._mass = mass
@@ -223,6 +225,7 @@ class EffectivenessEstimator:
 
     def start(self, value: float) -> None:
         """Restart from a value, as at lift-off."""
+        self._settled = -inf
         self._loss = ThrustLoss()
         self.value = self.initial = self._bounded(value)
         self.variance = self._settings.initial_deviation**2
@@ -253,7 +256,7 @@ class EffectivenessEstimator:
         """Take a specific force along body z, m/s^2, measured in flight. Returns whether it was used.
 
         speed: m/s. climb: velocity along body z, m/s. landing: whether the ground may carry a part of the weight, which
-        looks like more thrust; then only a loss of it counts.
+        looks like more thrust; then only a loss of it counts, and what follows within a second.
         """
         settings = self._settings
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
@@ -269,7 +272,7 @@ class EffectivenessEstimator:
         if left < 1.0:
             self._restart(left * self.value, time)
             return True
-        if landing:
+        if landing and time > self._settled:
             return False
         uncertain_response = settings.timing * (self._response.target - self._response.thrust) / self._mass
         noise = settings.measurement_noise**2 * (1 + (speed / settings.speed) ** 2) ** 2 + uncertain_response**2
@@ -290,6 +293,7 @@ class EffectivenessEstimator:
         """Continue from a value that is as uncertain as at lift-off."""
         self.value, self.variance = self._bounded(value), self._settings.initial_deviation**2
         self._rejected_since = None
+        self._settled = time + self.SETTLING
         self._past.append((time, self.value))
 
     def _reject(self, time: float) -> None:

@@ -117,7 +117,7 @@ def test_a_probe_in_the_air_finds_no_ground_whatever_the_thrust_and_the_force_be
         1.0,
     )
     meter.usual = np.array([0.0, 0.0, -0.8 * GRAVITY])
-    verdicts_of, rng = [], np.random.default_rng(1)
+    verdicts, rng = [], np.random.default_rng(1)
     for tick in range(40):
         time = 0.01 * tick
         force += (probe.thrust(time) / WEIGHT - force) * 0.01 / 0.07
@@ -125,11 +125,11 @@ def test_a_probe_in_the_air_finds_no_ground_whatever_the_thrust_and_the_force_be
         climb += (felt - GRAVITY) * 0.01
         measured = np.array([0.0, 0.0, felt + rng.normal()])
         meter.update(measured, force * GRAVITY, quaternion.IDENTITY, (time, np.array([0.0, 0.0, climb])), time)
-        verdicts_of.append(
+        verdicts.append(
             probe.update(meter.force, meter.thrust, quaternion.IDENTITY, time, climb_rate=climb, low=height_allows)
         )
-    assert Ground.CARRIES not in verdicts_of
-    assert Ground.ABSENT in verdicts_of or effectiveness > 1.5  # with so much thrust left it hardly falls
+    assert Ground.CARRIES not in verdicts
+    assert Ground.ABSENT in verdicts or effectiveness > 1.5  # with so much thrust left it hardly falls
 
 
 def test_force_alone_is_no_ground_where_the_estimate_falls_and_lasts_longer_where_it_is_high() -> None:
