@@ -62,7 +62,7 @@ def test_an_inertia_in_another_unit_is_refused(name: str, factor: float) -> None
 
 
 @pytest.mark.parametrize(
-    ("overrides", "words"),
+    ("rotors", "words"),
     [
         ({"radius": 0.9}, "inch"),  # 1.8 inches of diameter taken as m of radius
         ({"radius": 0.02, "speed_max": 40_000.0, "thrust_constant": 2e-9}, "rpm"),
@@ -70,9 +70,9 @@ def test_an_inertia_in_another_unit_is_refused(name: str, factor: float) -> None
         ({"speed_max": 9.55 * 2600.0}, "rpm"),
     ],
 )
-def test_rotors_in_other_units_are_refused(overrides: dict[str, object], words: str) -> None:
+def test_rotors_in_other_units_are_refused(rotors: dict[str, object], words: str) -> None:
     with pytest.raises(RequestError, match=words):
-        parse_vehicle(vehicle_toml(_changed(read_vehicle(find_vehicle("crazyflie")), **overrides)))
+        parse_vehicle(vehicle_toml(_changed(read_vehicle(find_vehicle("crazyflie")), **rotors)))
 
 
 def test_a_centre_of_mass_in_millimetres_is_refused() -> None:
