@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from alula.api.flying import fly, simulate, verify
     from alula.api.learning import evaluate, export, train
     from alula.api.planning import plan_flight
+    from alula.api.trusting import trust
     from alula.api.vehicles import check_vehicle, new_vehicle, vehicle_from_logs
     from dynamics.effect import Effect
     from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
@@ -65,6 +66,7 @@ __all__ = [
     "read_log",
     "simulate",
     "train",
+    "trust",
     "vehicle_from_logs",
     "verify",
     "write_vehicle",
@@ -77,6 +79,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.flying": ("fly", "simulate", "verify"),
     "alula.api.learning": ("evaluate", "export", "train"),
     "alula.api.planning": ("plan_flight",),
+    "alula.api.trusting": ("trust",),
     "alula.api.vehicles": ("check_vehicle", "new_vehicle", "vehicle_from_logs"),
     "dynamics.effect": ("Effect",),
     "dynamics.errors": ("AlulaError", "DataError", "RequestError", "VehicleError"),

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 from alula.rooms import ROOMS
 from dynamics.errors import RequestError
+from dynamics.workbench_install import workbench_install
 
 
 @contextmanager
@@ -22,8 +23,8 @@ def workbench(caller: str) -> Iterator[None]:
         if error.name is not None and error.name.split(".")[0] in ("alula", *ROOMS):
             raise
         raise RequestError(
-            f"{caller} needs {error.name}, which the flight computer's install leaves out: pip install "
-            "'alula[workbench]', here or on a workbench."
+            f"{caller} needs {error.name}, which the flight computer's install leaves out: "
+            f"{workbench_install()}, here or on a workbench."
         ) from error
 
 

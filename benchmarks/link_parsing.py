@@ -1,7 +1,8 @@
 """What one message costs between the socket and the state estimate: our framing, pymavlink's parser, mavutil.
 
 The recorded link to real PX4 (tests/data/px4_sih_offboard) is fed frame by frame, as datagrams arrive: every message,
-and ODOMETRY alone, which is what a setpoint waits for.
+and ODOMETRY alone, which is what a setpoint waits for. Then datagrams of 1,400 bytes that hold no frame, random bytes
+and false markers in patterns that each claim another frame: megabytes a second that framing reads.
 
     python -m benchmarks.link_parsing [--repeats N]
 """
@@ -23,6 +24,7 @@ from runtime.link.peer import Peer
 from runtime.record.tlog import read_tlog
 
 RECORDING = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_offboard" / "offboard_hover.tlog.gz"
+DATAGRAM = 1400  # bytes
 Feeder = Callable[[list[Frame]], None]
 
 
@@ -83,6 +85,29 @@ def microseconds(feed: Feeder, frames: list[Frame], repeats: int) -> float:
     return float(np.median(taken)) * 1e6
 
 
+def no_frames() -> dict[str, bytes]:
+    """Datagrams by what they hold, none of it a frame."""
+    return {
+        "random bytes": np.random.default_rng(0).bytes(DATAGRAM),
+        "FE at every byte": b"\xfe" * DATAGRAM,
+        "FD at every byte": b"\xfd" * DATAGRAM,
+        "FE 05: a short frame at every other byte": b"\xfe\x05" * (DATAGRAM // 2),
+        "FE FF 21: the longest frame at every third byte": b"\xfe\xff\x21" * (DATAGRAM // 3),
+        "FD FF 00 ..: version 2 at every seventh byte": b"\xfd\xff\x00\x00\x00\x00\x00" * (DATAGRAM // 7),
+    }
+
+
+def megabytes_per_second(datagram: bytes, repeats: int) -> float:
+    """Median over the repeats of how fast one datagram, sent again and again, is read by framing."""
+    speeds = []
+    for _ in range(repeats):
+        parser, start = FrameParser(), time.process_time()
+        for _ in range(100):
+            parser.feed(datagram)
+        speeds.append(100 * len(datagram) / (time.process_time() - start))
+    return float(np.median(speeds)) * 1e-6
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
@@ -103,6 +128,10 @@ def main() -> None:
             f"| {name} | {microseconds(feed, every, repeats):.1f} | {microseconds(feed, odometry, repeats):.1f} |"
         )
     text = f"{len(every)} messages, {len(odometry)} of them ODOMETRY; processor time, median of {repeats} repeats.\n\n"
+    rows += ["", "| bytes | read by our framing, MB/s |", "| --- | --- |"]
+    frames = b"".join(frame.data for frame in every[:1000])
+    for name, datagram in {"frames of the recording": frames, **no_frames()}.items():
+        rows.append(f"| {name} | {megabytes_per_second(datagram, repeats):.1f} |")
     write_result("link_parsing", "Cost of reading a message", text + "\n".join(rows))
 
 

@@ -13,17 +13,25 @@ import numpy as np
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
-from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of, with_nuisances_of
+from diagnosis.estimation.acceptance import (
+    Accepted,
+    deviations_from_neutral,
+    judged_fit,
+    refused_of,
+    with_faults_of,
+    with_nuisances_of,
+)
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
-from diagnosis.estimation.fitted import Fit, ParameterEstimate
+from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
+from diagnosis.estimation.revision import without
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
-from diagnosis.report import ChannelError, CommandGain, Diagnosis
+from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sentence
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
@@ -34,6 +42,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
+from dynamics.rate_loop import with_gains_kept
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
 from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
@@ -105,19 +114,20 @@ def add_effect(
         accepted = judged_fit(regression, [candidate], dataset, vehicle, resampled=False)
         if candidate.key not in accepted.fit.keys:
             raise DataError(f"{candidate.key} was not added: {reason_of(accepted.refused[-1])}. {ADVICE}")
-    progress(0.5, "output error, over simulated half seconds")
     judge = HeldOut(regression, dataset.held_out)
+    accepted = _borne_out(accepted, regression, dataset, judge)
+    progress(0.5, "output error, over simulated half seconds")
     present = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
     fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
     before = with_faults_of(fitted, present)
     progress(0.9, "errors on held-out flights")
-    _require_no_loss(judge, present, before, fitted)
+    _require_no_loss(judge, present, before, fitted, thresholds.relevance)
     floor = judge.floor(fitted.vehicle)
     sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
     errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
     _require_no_drift(fitted, vehicle, dataset, errors, thresholds.relevance)
     action = _action(fitted, vehicle)
-    changed = rounded_changes(vehicle, without_command_effects(fitted.vehicle))
+    changed = rounded_changes(vehicle, with_gains_kept(vehicle, without_command_effects(fitted.vehicle), catalogue))
     changed = with_history(changed, action, dataset, errors, date=date, command=command)
     return Addition(
         vehicle=changed,
@@ -152,24 +162,58 @@ def _better_fit(
     return (fitted, False) if grown or holds_nothing or worse else (again.fit, True)
 
 
-def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: Fit) -> None:
-    """Raise DataError where an error rises from a vehicle to a fit: by more than chance, or by what matters at all.
+def _borne_out(accepted: Accepted, regression: Regression, dataset: Dataset, judge: HeldOut) -> Accepted:
+    """The effects with each of which the open loop is better by more than chance, and faults of sensors.
 
-    A diagnosis names what chance may have made worse; a vehicle file that flies is not to be worse.
+    The weakest of the others is left out, until none is left. Raises DataError where nothing remains.
+    """
+    required = regression.thresholds.relevance.deviations
+    lacking = fit(regression, ()).vehicle
+    named = accepted.fit.candidates
+    while idle := _idle(accepted.fit, lacking, judge, required):
+        weakest = min(idle, key=lambda candidate: idle[candidate])
+        refused = refused_of(accepted.fit, weakest, "open_loop_alike", deviations=idle[weakest], required=required)
+        accepted = without(regression, accepted, [refused], dataset)
+    if named and not accepted.fit.candidates:
+        reasons = "; ".join(refusal_sentence(one) for one in accepted.refused if one.reason == "open_loop_alike")
+        raise DataError(f"nothing was added: {reasons or reason_of(accepted.refused[-1])}. {ADVICE}")
+    return accepted
+
+
+def _idle(fitted: Fit, lacking: Vehicle, judge: HeldOut, required: float) -> dict[Candidate, float]:
+    """Effects on the motion that improve the open loop by less than required, and by how many deviations they do.
+
+    What lies between command and thrust stays as in the fit: no vehicle file holds it, and so it replaces no effect.
+    """
+    moving = [candidate for candidate in fitted.candidates if candidate.effect.moves_vehicle]
+    without_each = {c: left_out(fitted, c, lacking, held=fitted.nuisances)[1] for c in moving}
+    gains = {c: judge.improvement(fewer, fitted.vehicle) for c, fewer in without_each.items()}
+    return {candidate: gain for candidate, gain in gains.items() if not gain >= required}
+
+
+def _require_no_loss(
+    judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: Fit, limits: RelevanceThresholds
+) -> None:
+    """Raise DataError where an error rises from a vehicle to a fit by more than chance and by what matters.
+
+    Nor is anything written with which the open loop is not better by more than chance.
     before: the vehicle with the fit's sensor faults.
     """
     names = ", ".join(fitted.keys)
-    open_loop = judge.worse_open_loop(before, fitted.vehicle)
+    open_loop, alike_before = judge.worse_open_loop(before, fitted.vehicle), with_nuisances_of(fitted, vehicle)
     if open_loop and fitted.nuisances:
-        alike = judge.worse_open_loop(with_nuisances_of(fitted, vehicle), fitted.vehicle)
+        alike = judge.worse_open_loop(alike_before, fitted.vehicle)
         open_loop = {where: change for where, change in open_loop.items() if where in alike}
-    worse = judge.worse_channels(vehicle, fitted.vehicle) | judge.larger(vehicle, before, fitted.vehicle) | open_loop
-    if worse:
+    if worse := judge.worse_channels(vehicle, fitted.vehicle) | open_loop:
         listed = "; ".join(f"{where}: {c.before:.4g} before, {c.after:.4g} after" for where, c in worse.items())
-        raise DataError(
-            f"{names} was not added: on the held-out flights an error rises ({listed}). `alula diagnose` shows what is "
-            "missing, if anything."
-        )
+        raise DataError(f"{names} was not added: on the held-out flights an error rises ({listed}). {ADVICE}")
+    if any(c.effect.moves_vehicle for c in fitted.candidates):
+        gain = judge.improvement(alike_before, fitted.vehicle)
+        if not gain >= limits.deviations:
+            raise DataError(
+                f"{names} was not added: the open loop on held-out flights is not better by more than chance, "
+                f"{gain:.2g} standard deviations of {limits.deviations:g}. {ADVICE}"
+            )
 
 
 def _require_no_drift(

@@ -11,6 +11,7 @@ from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from diagnosis.report import MissingEffect
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.effect import Effect
+from dynamics.rate_loop import with_gains_kept
 from dynamics.vehicle import Vehicle
 
 
@@ -56,7 +57,9 @@ def complete(
             break
         action = "added " + ", ".join(_key(effect) for effect in missing)
         errors = result.diagnosis.channels
-        vehicle = with_history(result.vehicle, action, dataset, errors, date=date, command=command)
+        vehicle = with_history(
+            with_gains_kept(vehicle, result.vehicle, catalogue), action, dataset, errors, date=date, command=command
+        )
         added += missing
         result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
     return Completion(vehicle, tuple(added), first, result)

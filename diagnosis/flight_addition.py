@@ -29,6 +29,7 @@ from diagnosis.thresholds import DEFAULT, InFlightThresholds
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.errors import DataError, RequestError
+from dynamics.rate_loop import with_gains_kept
 from dynamics.vehicle import EffectUse, HistoryEntry, Vehicle
 from dynamics.vehicle_editing import rounded, rounded_changes
 from flights.followed import FollowedFlight
@@ -152,7 +153,7 @@ def add_followed(
         reasons = [*map(left_out_sentence, left_out), *_gains(chosen, followed, catalogue)]
         raise DataError(f"nothing was added from {followed.path}: {'; '.join(reasons)}.")
     air = [one.effect for one in left_out if one.why == "air"]
-    changed = rounded_changes(vehicle, _with_values(vehicle, added, catalogue))
+    changed = rounded_changes(vehicle, with_gains_kept(vehicle, _with_values(vehicle, added, catalogue), catalogue))
     channels, notes = _errors(vehicle, changed, catalogue, dataset, air)
     if air and channels:
         notes = (*notes, "errors before and after are in the air that fits the flight best")

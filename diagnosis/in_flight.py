@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
@@ -20,7 +18,7 @@ from diagnosis.thresholds import DEFAULT, InFlightThresholds
 from dynamics.effect import Effect
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_vehicle
+from dynamics.vehicle_file import parse_vehicle, with_texts
 from flights.followed import FollowedFlight, FollowedValue, read_followed
 
 
@@ -257,13 +255,10 @@ def flown_vehicle(followed: FollowedFlight, vehicle: Vehicle, catalogue: Mapping
     if not followed.vehicle:
         raise RequestError(f"{followed.path} holds no vehicle file: it was cut off or not written by `alula fly`.")
     try:
-        document = tomlkit.parse(followed.vehicle)
-    except TOMLKitError as error:
-        raise RequestError(f"the vehicle file in {followed.path} is damaged: {error}.") from None
-    document.pop("effect_files", None)
-    if vehicle.effect_files:
-        document["effect_files"] = list(vehicle.effect_files)
-    return parse_vehicle(tomlkit.dumps(document), catalogue=catalogue)
+        text = with_texts(followed.vehicle, vehicle.effect_files)
+    except RequestError as error:
+        raise RequestError(f"the vehicle file in {followed.path} is damaged: {error}") from None
+    return parse_vehicle(text, catalogue=catalogue)
 
 
 def constant_differences(flown: Vehicle, vehicle: Vehicle) -> list[str]:

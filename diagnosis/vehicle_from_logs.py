@@ -11,8 +11,10 @@ from diagnosis.data.dataset import read_flights
 from diagnosis.thresholds import DEFAULT
 from diagnosis.vehicle_identification import Constant, Identification, identify_vehicle, with_yaw_inertia
 from dynamics.errors import DataError, RequestError
+from dynamics.progress import Progress, no_progress, part_of
 from dynamics.vehicle import GRAVITY, Body, Rotors, Vehicle
 from dynamics.vehicle_draft import Draft, Entry
+from dynamics.vehicle_plausibility import require_carried, require_in_range
 from dynamics.vehicle_sizing import YAW_INERTIA, YAW_SPREAD, inertia_by_rule, inertia_entry
 from flights import Flight
 from flights.rotor_layout import RotorLayout, rotor_layout
@@ -43,6 +45,7 @@ def vehicle_from_logs(
     speed_max: float | None = None,
     mapping: str | Path | None = None,
     command: str = "",
+    progress: Progress = no_progress,
 ) -> LogVehicle:
     """A draft of the vehicle that flew some logs.
 
@@ -52,11 +55,13 @@ def vehicle_from_logs(
     Raises RequestError for logs that cannot be used, DataError where they state no layout or hold no flight.
     """
     _require_positive({"mass": mass, "arm": arm, "propeller": propeller, "speed_max": speed_max})
-    flights = read_flights(logs, mapping=mapping)
+    require_in_range(mass=mass, arm=arm, propeller=propeller)
+    flights = read_flights(logs, mapping=mapping, progress=part_of(progress, 0.0, 0.4))
     layout = layout_of(flights)
     position = _positions(layout, arm)
     start = _start(name, mass or 1.0, position, layout, speed_max)
-    identified, refusal = _identified(flights, start)
+    require_carried(start.body.mass, start.rotors, name)
+    identified, refusal = _identified(flights, start, part_of(progress, 0.4, 1.0))
     draft = Draft(
         name,
         tuple(_entries(layout, position, start, identified, mass=mass, arm=arm, propeller=propeller, speed=speed_max)),
@@ -125,10 +130,10 @@ def _start(
     return Vehicle(name, Body(mass, inertia), rotors)
 
 
-def _identified(flights: Sequence[Flight], start: Vehicle) -> tuple[Identification | None, str]:
+def _identified(flights: Sequence[Flight], start: Vehicle, progress: Progress) -> tuple[Identification | None, str]:
     """What the flights show, or None and why they do not."""
     try:
-        identified = identify_vehicle(flights, start)
+        identified = identify_vehicle(flights, start, progress=progress)
     except DataError as error:
         return None, str(error)
     if identified.yaw_inertia is not None:

@@ -39,6 +39,7 @@ from dynamics.effects.rotor_drag import EFFECT as ROTOR_DRAG
 from dynamics.effects.thrust_constant import EFFECT as THRUST_CONSTANT
 from dynamics.effects.torque_constant import EFFECT as TORQUE_CONSTANT
 from dynamics.errors import DataError
+from dynamics.progress import Progress, no_progress
 from dynamics.vehicle import GRAVITY, Vehicle
 from flights import Flight
 from flights.rotors import rotor_speeds
@@ -125,6 +126,7 @@ def identify_vehicle(
     catalogue: Mapping[str, Effect] = CATALOGUE,
     *,
     fit_curve: bool = True,
+    progress: Progress = no_progress,
 ) -> Identification:
     """The constants of a vehicle of known mass and layout.
 
@@ -137,7 +139,8 @@ def identify_vehicle(
             vehicle, speed_max=signal.speed_max.value, thrust_curve=min(max(signal.curve.value, 0.0), 1.0)
         )
     choices: list[Effect] = []
-    for _ in range(LIMITS.max_rounds):
+    for done in range(LIMITS.max_rounds):
+        progress(done / LIMITS.max_rounds, f"estimating the constants, round {done + 1}")
         start = calibrated(vehicle, flights)
         dataset = make_dataset(flights, start)
         regression = _regression(dataset, start, catalogue)

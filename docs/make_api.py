@@ -24,6 +24,7 @@ ROOMS = (
     "fleet",
     "learning",
     "planning",
+    "trusting",
     "flying",
 )  # of alula.api, in the order of the loop
 REPORTS = (  # that functions return as they are

@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -26,10 +27,12 @@ from numpy.typing import ArrayLike
 from dynamics import symbolic as ca
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+from dynamics.trust import load_own_library
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 FLAGS = (
     "-O3",
     "-march=native",
@@ -46,6 +49,37 @@ def cache_folder() -> Path:
     if folder := os.environ.get("ALULA_CACHE"):
         return Path(folder)
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "alula"
+
+
+def is_compiled_here(library: Path) -> bool:
+    """Whether a library is one that `build_library` keeps."""
+    return library.parent.resolve() == cache_folder().resolve() and _is_own(library)
+
+
+def _require_own_folder(folder: Path) -> None:
+    """Close the cache folder to others. Raises RequestError where it is theirs, who could put code there."""
+    status = folder.stat()
+    if status.st_uid not in (os.geteuid(), 0):
+        raise RequestError(
+            f"the folder of compiled code {folder} belongs to another user, who could put code there. Set ALULA_CACHE "
+            "to a folder of yours."
+        )
+    if status.st_mode & WRITABLE_BY_OTHERS and status.st_uid == os.geteuid():
+        folder.chmod(0o700)
+    elif status.st_mode & WRITABLE_BY_OTHERS:
+        raise RequestError(
+            f"others may write the folder of compiled code {folder}. Set ALULA_CACHE to a folder of yours."
+        )
+
+
+def _is_own(library: Path) -> bool:
+    """Whether a library is there that nobody but this user, or root, can have written."""
+    try:
+        status = library.lstat()
+    except FileNotFoundError:
+        return False
+    mine = status.st_uid in (os.geteuid(), 0) and not status.st_mode & WRITABLE_BY_OTHERS
+    return stat.S_ISREG(status.st_mode) and mine
 
 
 def generate_c(functions: Sequence[ca.Function]) -> str:
@@ -79,12 +113,14 @@ def build_library(
     ).hexdigest()
     folder = cache_folder()
     library = folder / f"{Path(entry).stem}-{digest[:24]}.so"
-    if library.exists():
-        return library
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        _require_own_folder(folder)
+        if _is_own(library):
+            return library
         with _locked(folder / f"{library.name}.lock"):
-            if not library.exists():
+            if not _is_own(library):
                 _compile(compiler, sources, entry, [*flags], [*libraries], library)
     except OSError as error:
         raise RequestError(
@@ -155,7 +191,7 @@ class CompiledFunction:
     """
 
     def __init__(self, function: ca.Function, library: Path) -> None:
-        self._code = ctypes.CDLL(str(library))
+        self._code = load_own_library(library)
         self._call = getattr(self._code, function.name())
         self._call.restype = ctypes.c_int
         self.inputs = {function.name_in(i): np.zeros(function.numel_in(i)) for i in range(function.n_in())}

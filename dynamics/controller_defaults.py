@@ -1,8 +1,8 @@
 """Settings of the controller that follow from the vehicle: the lookaheads of its body-rate setpoints.
 
 A rate loop of first order with time constant T behind a lag L follows a setpoint with the delay T + L. The controller
-therefore commands the body rate that its prediction, extended along its slope, has at that later time; the part of the
-delay that the model itself predicts (the rotors' lag) is subtracted.
+therefore commands the body rate that the vehicle would have at that later time under the acceleration that the plan's
+first inputs command; the part of the delay that the model itself predicts (the rotors' lag) is subtracted.
 `benchmarks/results/controller_defaults.md` compares this with one pair of lookaheads for all vehicles.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from dynamics.autopilot_settings import AutopilotSettings
 from dynamics.controller_settings import ControllerSettings
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
@@ -30,13 +31,16 @@ class Lookaheads:
     yaw: float
 
 
-def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> Lookaheads:
+def lookaheads(
+    vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE, gains: AutopilotSettings | None = None
+) -> Lookaheads:
     """The lookaheads of the vehicle file, else those derived from its rate loop; never beyond the horizon.
 
+    gains: of the autopilot's rate loop; None for those of the vehicle file, else ones that suit its motors.
     Raises RequestError for a horizon that is too short for the vehicle's rate loop.
     """
     catalogue = catalogue_of(vehicle, catalogue)
-    settings, loop = vehicle.controller, rate_loop(vehicle, catalogue=catalogue)
+    settings, loop = vehicle.controller, rate_loop(vehicle, catalogue=catalogue, gains=gains)
     _require_horizon(vehicle, loop)
     modelled = modelled_motor_lag(vehicle.effects, catalogue)
     rate, yaw = settings.rate_lookahead, settings.yaw_lookahead

@@ -5,67 +5,72 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from dynamics import symbolic
 from dynamics.effect import Effect, Span
+from dynamics.effect_source import EXAMPLE, EffectFile
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
-from dynamics.own_effects import EXAMPLE, line_of, read_effects
+from dynamics.own_effects import effects_of, line_of
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 ROOM = Span((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))  # m, for which an effect's grid is evaluated
 
 
-def with_effects_of(files: Iterable[str | Path], vehicle: Vehicle) -> Mapping[str, Effect]:
+def with_effects_of(files: Iterable[EffectFile], vehicle: Vehicle) -> Mapping[str, Effect]:
     """The catalogue and the effects of further files, each tried on the vehicle once.
 
-    Raises RequestError for a file that defines none, a name that is taken, or an effect that fails on the vehicle.
+    Raises RequestError for a file that is not approved or defines none, a name that is taken, or an effect that fails
+    on the vehicle.
     """
     catalogue = dict(CATALOGUE)
-    own: list[tuple[Path, Effect]] = []
-    for path in map(Path, files):
-        for effect in read_effects(path):
+    own: list[tuple[EffectFile, Effect]] = []
+    for file in files:
+        for effect in effects_of(file):
             if effect.name in catalogue:
-                raise RequestError(f"{path}: there is an effect {effect.name!r} already; give yours another name.")
+                raise RequestError(f"{file.path}: there is an effect {effect.name!r} already; give yours another name.")
             if symbolic.is_installed():  # elsewhere only bundles fly, whose effects were tried at their export
-                _try(effect, vehicle, path)
+                _try(effect, vehicle, file)
             catalogue[effect.name] = effect
-            own.append((path, effect))
-    for path, effect in own:
+            own.append((file, effect))
+    for file, effect in own:
         for name in set(effect.confounded_with) - set(catalogue):
-            raise RequestError(f"{path}: effect {effect.name!r}: confounded_with names {name!r}, which is no effect.")
+            raise RequestError(
+                f"{file.path}: effect {effect.name!r}: confounded_with names {name!r}, which is no effect."
+            )
     return catalogue
 
 
-def _try(effect: Effect, vehicle: Vehicle, path: Path) -> None:
+def _try(effect: Effect, vehicle: Vehicle, file: EffectFile) -> None:
     """Evaluate an effect in hover at its usual values. Raises RequestError when it fails or contradicts itself."""
     use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
-    with _refusing(effect, path):
+    with _refusing(effect, file):
         problem = next(_problems_on(effect, vehicle), None)
     if problem is not None:
-        raise RequestError(f"{path}{problem}")
-    with _refusing(effect, path):
+        raise RequestError(f"{file.path}{problem}")
+    with _refusing(effect, file):
         model = build_model(vehicle, effects=[use], catalogue={effect.name: effect})
         state = model.initial_state(_hover())
         values = model.observe(state, vehicle.hover_speed, model.parameter_values, ENVIRONMENT_DEFAULT)
         rates = model.derivative(state, vehicle.hover_speed, model.parameter_values, ENVIRONMENT_DEFAULT, 0)
     for value in (*values, rates):
         if not value.is_regular():
-            raise RequestError(f"{path}: effect {effect.name!r} gives a force that is no number in hover: {value}.")
+            raise RequestError(
+                f"{file.path}: effect {effect.name!r} gives a force that is no number in hover: {value}."
+            )
 
 
 @contextmanager
-def _refusing(effect: Effect, path: Path) -> Iterator[None]:
+def _refusing(effect: Effect, file: EffectFile) -> Iterator[None]:
     """Whatever a user's functions raise becomes a RequestError with the line."""
     try:
         yield
     except Exception as error:
-        line = line_of(error, path)
-        where = f"{path}, line {line}" if line else f"{path}"
+        line = line_of(error, file)
+        where = f"{file.path}, line {line}" if line else file.path
         raise RequestError(f"{where}: effect {effect.name!r} fails in hover: {type(error).__name__}: {error}") from None
 
 

@@ -14,6 +14,7 @@ from importlib import util
 from typing import Any
 
 from dynamics.errors import RequestError
+from dynamics.workbench_install import workbench_install
 
 
 def __getattr__(name: str) -> Any:
@@ -23,7 +24,7 @@ def __getattr__(name: str) -> Any:
     if not is_installed():
         raise RequestError(
             "building a model needs CasADi, which the flight computer's install leaves out. Run this on a workbench "
-            "(pip install 'alula[workbench]'); to fly here, `alula export` the model there and give `--bundle B`."
+            f"({workbench_install()}); to fly here, `alula export` the model there and give `--bundle B`."
         )
     value = getattr(importlib.import_module("casadi"), name)
     globals()[name] = value

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from dynamics import symbolic as ca
+from dynamics.allocation import mixer
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
@@ -84,6 +85,14 @@ def trim_at(vehicle: Vehicle, mass: float, thrust_constant: float, rotor_speed: 
     if abs(thrust_constant - rotors.thrust_constant) > NEGLIGIBLE * rotors.thrust_constant:
         rotors = msgspec.structs.replace(rotors, thrust_constant=thrust_constant)
     return Trim(msgspec.structs.replace(vehicle, body=body, rotors=rotors, effects=()), rotor_speed)
+
+
+def trim_authority(model: Model) -> Floats:
+    """Angular acceleration of a unit of PX4's normalised torque about body x, y, z in hover, rad/s^2. Returns (3,)."""
+    speed = find_trim(model).rotor_speed
+    slope = np.array(_hover_response(model)(speed)[1])[1:]
+    of_whole_thrust = model.vehicle.rotors.speed_max**2 / (2 * speed)  # rad/s of a rotor
+    return np.asarray(np.diag(slope @ (of_whole_thrust[:, None] * mixer(model.vehicle)[:, :3])))
 
 
 def _hover_response(model: Model) -> ca.Function:

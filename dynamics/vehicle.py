@@ -13,7 +13,9 @@ import numpy as np
 from msgspec import Meta
 
 from dynamics.arrays import Floats, Vector3
+from dynamics.autopilot_settings import AutopilotSettings
 from dynamics.controller_settings import ControllerSettings
+from dynamics.effect_source import EffectFile
 from dynamics.errors import RequestError
 
 GRAVITY = 9.81  # m/s^2
@@ -176,8 +178,9 @@ class HistoryEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A vehicle file's content.
 
+    autopilot: gains of its rate loop; None for gains that suit the motors of this file.
     effects: the identified model's, on top of the nominal model.
-    effect_files: Python files with effects of one's own that it may name; in its file relative to that.
+    effect_files: Python files with effects of one's own that it may name; a vehicle file has names relative to it.
     history: how the effects were identified, oldest entry first.
     source: where the numbers come from, free text.
     """
@@ -187,10 +190,11 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotors: Rotors
     limits: Limits = Limits()
     controller: ControllerSettings = ControllerSettings()
+    autopilot: AutopilotSettings | None = None
     effects: tuple[EffectUse, ...] = ()
     history: tuple[HistoryEntry, ...] = ()
     source: str = ""
-    effect_files: tuple[str, ...] = ()
+    effect_files: tuple[EffectFile, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a vehicle that cannot lift itself: usually a constant is in the wrong unit."""

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import msgspec
 import tomlkit
-from tomlkit.items import AoT, Array
+from tomlkit.items import AoT, Array, InlineTable
 
 from dynamics.effect import Effect
+from dynamics.effect_source import KEY, EffectFile, entries_of, read_effect_file_below
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
@@ -37,20 +37,63 @@ def edited_toml(
     vehicle = _in_order_of(old, vehicle)
     document = tomlkit.parse(text)
     _change(document, _table(old), _table(vehicle))
-    if vehicle.effect_files != old.effect_files:
-        document["effect_files"] = [os.path.relpath(path, folder) for path in vehicle.effect_files]
+    _set_effect_files(document, vehicle, folder)
     edited = tomlkit.dumps(document)
     try:
         read = parse_vehicle(with_effect_files(edited, folder), catalogue=catalogue)
     except RequestError:
         return vehicle_toml(vehicle)
-    return edited if _rounded_table(read) == _rounded_table(vehicle) else vehicle_toml(vehicle)
+    alike = _rounded_table(read) == _rounded_table(vehicle) and _contents(read) == _contents(vehicle)
+    return edited if alike else vehicle_toml(vehicle)
+
+
+def _set_effect_files(document: Any, vehicle: Vehicle, folder: Path) -> None:
+    """Name the vehicle's effect files as they lie in the file's folder; the text of one that does not stands there."""
+    entries = [_entry(file, folder) for file in vehicle.effect_files]
+    before = entries_of(document.unwrap())
+    if [_comparable(entry) for entry in entries] == [_comparable(entry) for entry in before]:
+        return
+    document.pop(KEY, None)
+    if entries and all(isinstance(entry, dict) for entry in entries):
+        document[KEY] = _item(entries, None)
+    elif entries:
+        array: Array = tomlkit.array()
+        for entry in entries:
+            array.append(_inline(entry) if isinstance(entry, dict) else entry)
+        document[KEY] = array.multiline(len(array.as_string()) > WIDTH)
+
+
+def _entry(file: EffectFile, folder: Path) -> str | dict[str, str]:
+    """An effect file as a vehicle file in a folder names it, or with its text where it lies elsewhere."""
+    if not file.is_carried and Path(file.path).is_relative_to(folder):
+        name = Path(file.path).relative_to(folder).as_posix()
+        try:
+            if read_effect_file_below(folder, name).sha256 == file.sha256:
+                return name
+        except RequestError:  # it has gone meanwhile
+            pass
+    return {"path": file.name, "sha256": file.sha256, "text": file.text}
+
+
+def _contents(vehicle: Vehicle) -> list[str]:
+    return [file.sha256 for file in vehicle.effect_files]
+
+
+def _comparable(entry: Any) -> object:
+    return str(PurePosixPath(entry)) if isinstance(entry, str) else entry["sha256"]
+
+
+def _inline(table: dict[str, str]) -> InlineTable:
+    inline = tomlkit.inline_table()
+    inline.update(table)
+    return inline
 
 
 def rounded_changes(before: Vehicle, after: Vehicle) -> Vehicle:
     """`after` as the file of `before` will hold it: what differs rounded, new effects behind the file's own."""
     after = _in_order_of(before, after)
-    return msgspec.convert(_only_changes_rounded(_table(before), _table(after)), Vehicle)
+    changed = msgspec.convert(_only_changes_rounded(_table(before), _table(after)), Vehicle)
+    return msgspec.structs.replace(changed, effect_files=after.effect_files)
 
 
 def _in_order_of(before: Vehicle, after: Vehicle) -> Vehicle:
@@ -78,7 +121,8 @@ def _rounded_table(vehicle: Vehicle) -> Any:
 
 
 def _table(vehicle: Vehicle) -> dict[str, Any]:
-    table = without_empty(msgspec.to_builtins(vehicle))
+    """All but its effect files, which `_set_effect_files` writes."""
+    table = without_empty(msgspec.to_builtins(msgspec.structs.replace(vehicle, effect_files=())))
     assert isinstance(table, dict)
     return table
 

@@ -14,14 +14,28 @@ from typing import Any
 import msgspec
 import tomli_w
 import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
 from dynamics.controller_defaults import lookaheads
 from dynamics.controller_settings import ControllerSettings
 from dynamics.effect import Effect
 from dynamics.effect_file import with_effects_of
+from dynamics.effect_source import (
+    KEY,
+    EffectFile,
+    as_carried,
+    carried_files,
+    entries_of,
+    read_effect_file,
+    read_effect_file_below,
+    tables_toml,
+    without_duplicates,
+)
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
+from dynamics.trust import require_approved
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_plausibility import require_plausible
 from vehicles import FOLDER
 
 
@@ -43,9 +57,10 @@ def read_vehicle(
     effect_files: with effects of one's own, beside those that the file names.
 
     Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
-    does), lacks one, or describes a vehicle that cannot exist.
+    does), lacks one, describes a vehicle that cannot exist, or has effects that the user has not approved.
     """
     text = vehicle_text(path, effect_files=effect_files)
+    require_approved(effect_files_in(text), carrier=path)
     try:
         return parse_vehicle(text, catalogue=catalogue)
     except RequestError as error:
@@ -53,9 +68,9 @@ def read_vehicle(
 
 
 def vehicle_text(path: str | Path, *, effect_files: Sequence[str | Path] = ()) -> str:
-    """The text of a vehicle file, effect files by their whole paths, so that it can be parsed anywhere.
+    """The text of a vehicle file that holds the texts of its effect files, so that it can be parsed anywhere.
 
-    effect_files: added to those that the file names. Raises RequestError when the file cannot be read.
+    effect_files: added to those that the file names. Raises RequestError when the file, or one of them, cannot be read.
     """
     path = Path(path)
     try:
@@ -66,23 +81,83 @@ def vehicle_text(path: str | Path, *, effect_files: Sequence[str | Path] = ()) -
 
 
 def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ()) -> str:
-    """The text of a vehicle file with its effect files, which count from a folder, and added ones by whole paths."""
+    """The text of a vehicle file with the texts of its effect files, and of added ones, in place of their names.
+
+    folder: from which its names count, and in which, or below which, these files lie.
+    Raises RequestError for a file that lies elsewhere or is no plain Python text. Nothing runs.
+    """
     try:
-        own = tomllib.loads(text).get("effect_files", [])
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         return text  # `parse_vehicle` says where
-    if not isinstance(own, list) or not (own or added):
+    entries = entries_of(table)
+    if not (entries or added):
         return text
-    paths = [*(folder / str(name) for name in own), *map(Path, added)]
-    document = tomlkit.parse(text)
-    document["effect_files"] = list(dict.fromkeys(str(path.resolve()) for path in paths))
-    return tomlkit.dumps(document)
+    named = [read_effect_file_below(folder, entry) for entry in entries if isinstance(entry, str)]
+    carried = as_carried(carried_files(entries))
+    further = [read_effect_file(path) for path in added]
+    of_path = {file.path: file for file in (*carried, *named, *further)}
+    return with_texts(text, without_duplicates(of_path.values()))
+
+
+def with_texts(text: str, files: Sequence[EffectFile]) -> str:
+    """The text of a vehicle file with these effect files in place of its own. Raises RequestError for no TOML."""
+    try:
+        document = tomlkit.parse(text)
+    except TOMLKitError as error:
+        raise RequestError(f"not valid TOML: {error}.") from None
+    if document.pop(KEY, None) is None and not files:
+        return text
+    return tomlkit.dumps(document) + tables_toml(files)
+
+
+def with_added_files(vehicle: Vehicle, paths: Sequence[str | Path]) -> Vehicle:
+    """A vehicle with further effect files, checked anew. Raises RequestError as `parse_vehicle`."""
+    if not paths:
+        return vehicle
+    files = without_duplicates([*vehicle.effect_files, *map(read_effect_file, paths)])
+    return parse_vehicle(vehicle_toml(msgspec.structs.replace(vehicle, effect_files=tuple(files))))
+
+
+def effect_files_in(text: str) -> tuple[EffectFile, ...]:
+    """The effect files whose texts a vehicle file holds; none are run. Raises RequestError for damaged ones."""
+    return tuple(carried_files(effect_entries(text)))
+
+
+def effect_entries(text: str) -> list[Any]:
+    """What a vehicle file has under `effect_files`: names, and tables with texts; empty for a text that is no TOML."""
+    try:
+        return entries_of(tomllib.loads(text))
+    except tomllib.TOMLDecodeError:
+        return []  # `parse_vehicle` says where
+
+
+def without_effect_files(text: str) -> tuple[str, tuple[str, ...]]:
+    """The text of a vehicle file without its list of Python files, and that list; nothing of these is run.
+
+    Raises RequestError for a text that is no TOML.
+    """
+    try:
+        document = tomlkit.parse(text)
+    except tomlkit.exceptions.TOMLKitError as error:
+        raise RequestError(f"not valid TOML: {error}. Give a vehicle file, see vehicles/.") from error
+    named = document.pop("effect_files", [])
+    return tomlkit.dumps(document), tuple(map(str, named)) if isinstance(named, list) else ()
+
+
+def vehicle_name(text: str) -> str:
+    """The name in the text of a vehicle file, "unnamed" where there is none; nothing of it is run."""
+    try:
+        name = tomllib.loads(text).get("name")
+    except tomllib.TOMLDecodeError:
+        return "unnamed"
+    return name if isinstance(name, str) else "unnamed"
 
 
 def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
-    """A vehicle from the text of its file. Raises RequestError as `read_vehicle`.
+    """A vehicle from the text of its file, with the texts of its effect files; see `vehicle_text`.
 
-    Effect files count from the working directory; see `vehicle_text`.
+    Raises RequestError as `read_vehicle`.
     """
     try:
         table = tomllib.loads(text)
@@ -90,6 +165,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
         raise RequestError(f"not valid TOML: {error}.") from error
     refuse_unknown_keys(table, Vehicle)
     _refuse_non_finite(table)
+    _refuse_names(table)
     try:
         vehicle = msgspec.convert(table, Vehicle)
     except msgspec.ValidationError as error:
@@ -97,12 +173,11 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
             raise error.__cause__ from None
         raise RequestError(f"{error}.") from error
     if vehicle.effect_files:
-        paths = dict.fromkeys(str(Path(path).resolve()) for path in vehicle.effect_files)
-        vehicle = msgspec.structs.replace(vehicle, effect_files=tuple(paths))
         catalogue = {**with_effects_of(vehicle.effect_files, vehicle), **catalogue}
     for use in vehicle.effects:
         check_effect(use, vehicle.rotors.count, catalogue=catalogue)
     _check_controller(vehicle, catalogue)
+    require_plausible(vehicle)
     return vehicle
 
 
@@ -131,7 +206,8 @@ def write_vehicle_text(text: str, path: Path) -> None:
 
 def vehicle_toml(vehicle: Vehicle) -> str:
     """A vehicle as the text of its file; `parse_vehicle` gives the same vehicle again."""
-    return tomli_w.dumps(without_empty(msgspec.to_builtins(vehicle)))
+    table = without_empty(msgspec.to_builtins(msgspec.structs.replace(vehicle, effect_files=())))
+    return tomli_w.dumps(table) + tables_toml(vehicle.effect_files)
 
 
 def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:
@@ -258,6 +334,15 @@ def _refuse_non_finite(value: Any, where: str = "") -> None:
             _refuse_non_finite(item, where)
     elif isinstance(value, float) and not math.isfinite(value):
         raise RequestError(f"{where} holds {value}: give finite numbers.")
+
+
+def _refuse_names(table: Mapping[str, Any]) -> None:
+    """Raise a RequestError for effect files by name, where no folder is known from which the names count."""
+    if name := next((entry for entry in entries_of(table) if isinstance(entry, str)), None):
+        raise RequestError(
+            f"{KEY} names {name!r}, and its text is not here: give the file itself with --effects FILE, or the vehicle "
+            "file from the folder in which it lies."
+        )
 
 
 def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:

@@ -21,8 +21,8 @@ from dynamics.errors import RequestError
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_draft import Draft, Entry
 from dynamics.vehicle_file import nearest
+from dynamics.vehicle_plausibility import AIR_DENSITY, require_in_range
 
-AIR_DENSITY = 1.2  # kg/m^3, at 20 degrees C near sea level
 INCH = 0.0254  # m
 THRUST_COEFFICIENT, THRUST_SPREAD = 0.11, 0.35  # C_T of two blades, half of the interval of 95 % over the value
 POWER_COEFFICIENT, POWER_SPREAD = 0.045, 0.5  # C_P
@@ -127,10 +127,8 @@ def _doubts(mass: float, thrust: float) -> list[str]:
 def _require(mass: float, arm: float, propeller: float, kv: float, cells: int, frame: str, blades: int) -> None:
     if frame not in FRAMES:
         raise RequestError(f"unknown frame {frame!r}{nearest(frame, FRAMES)}. Known: {', '.join(FRAMES)}.")
+    require_in_range(mass=mass, arm=arm, propeller=propeller)
     ranges = {
-        "mass": (mass, 0.01, 200.0, "kg"),
-        "arm": (arm, 0.02, 3.0, "m, from the centre to a motor's axis"),
-        "propeller": (propeller, 0.02, 2.0, "m; an inch is 0.0254"),
         "kv": (kv, 20.0, 30000.0, "rpm/V"),
         "cells": (cells, 1, 24, "in series"),
         "blades": (blades, 2, 6, ""),

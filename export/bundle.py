@@ -9,7 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -18,10 +18,13 @@ import casadi as ca
 import msgspec
 import tomlkit
 
+from dynamics.approvals import approve
 from dynamics.arrays import Floats
+from dynamics.effect_source import KEY
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.state import RIGID_BODY_STATES
+from dynamics.trust import approve_here
 from export.c_files import build_c_files, c_files, compiled
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
@@ -121,8 +124,17 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
         for library in toolchain.hpipm.libraries:
             shutil.copyfile(library, part / library.name)
         manifest = with_digest(_manifest(model, options, part))
-        (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+        content = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
+        (part / MANIFEST).write_bytes(content)
+    _approve(hashlib.sha256(content).hexdigest(), folder)
     return Exported(folder, manifest, parity)
+
+
+def _approve(sha256: str, folder: Path) -> None:
+    """Approve a bundle that was compiled here; where the list cannot be kept, for this process alone."""
+    approve_here([("bundle", sha256)])
+    with suppress(RequestError):
+        approve([("bundle", sha256, str(folder.resolve()))])
 
 
 def _kernels(model: ExportedModel, options: ExportOptions) -> dict[str, KernelRecipe]:
@@ -234,7 +246,7 @@ def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
 def _write_files(part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], parity: Parity) -> None:
     (part / SOURCES).mkdir()
     for name, text in {**texts, **_vehicle_texts(model)}.items():
-        (part / name).write_text(text, encoding="utf-8")
+        (part / name).write_bytes(text.encode())
     (part / ONNX).write_bytes(proto)
     (part / PARITY).write_bytes(msgspec.json.format(msgspec.json.encode(parity), indent=1) + b"\n")
 
@@ -244,15 +256,16 @@ def _vehicle_texts(model: ExportedModel) -> dict[str, str]:
 
     Raises RequestError where two of these have one name.
     """
-    paths = [Path(path) for path in model.vehicle.effect_files]
-    if not paths:
+    files = model.vehicle.effect_files
+    if not files:
         return {VEHICLE: model.vehicle_text}
-    names = [path.name for path in paths]
+    names = [file.name for file in files]
     if len(set(names)) < len(names):
         raise RequestError(f"two effect files have one name ({', '.join(names)}). Rename one of them.")
     document = tomlkit.parse(model.vehicle_text)
-    document["effect_files"] = names
-    return {VEHICLE: tomlkit.dumps(document)} | {path.name: path.read_text(encoding="utf-8") for path in paths}
+    document.pop(KEY, None)
+    document[KEY] = names
+    return {VEHICLE: tomlkit.dumps(document)} | {file.name: file.text for file in files}
 
 
 def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manifest:

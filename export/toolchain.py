@@ -69,7 +69,7 @@ def _fetch(version: str, machine: str, folder: Path, variable: str) -> None:
     """Put the libraries of CasADi's wheel for a machine into a folder."""
     with tempfile.TemporaryDirectory(prefix="alula-") as temporary:
         options = ["--no-deps", "--only-binary=:all:", f"--platform=manylinux2014_{machine}", f"--dest={temporary}"]
-        command = [sys.executable, "-m", "pip", "download", "--quiet", *options, f"casadi=={version}"]
+        command = [sys.executable, "-P", "-m", "pip", "download", "--quiet", *options, f"casadi=={version}"]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
             wheels = list(Path(temporary).glob("*.whl"))

@@ -15,8 +15,9 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
+from dynamics.trust import require_approved
 from dynamics.vehicle import EffectUse, Vehicle
-from dynamics.vehicle_file import parse_vehicle, vehicle_text
+from dynamics.vehicle_file import effect_files_in, parse_vehicle, vehicle_text
 from export.integrator import choose_integrator
 from export.network import Convolution, Dense, Ensemble, Network
 from runtime.control.bundle import Integrator
@@ -102,6 +103,7 @@ def read_model(
     """
     if path.suffix == ".toml":
         text = vehicle_text(path, effect_files=effect_files)
+        require_approved(effect_files_in(text), carrier=path)
         vehicle = parse_vehicle(text)
         config = physical_config("physics", rotors=vehicle.rotors.count)
         settled = choose_integrator(config, integrator)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights import filters
-from flights.log import Log, Origin, Stream
-from flights.quantities import MOTION, ROTORS
+from flights.log import Log, Origin, Stream, spanning_streams
 
 GAP_PERIODS = 5.0  # times a stream's own period without a sample are a gap,
 MIN_GAP = 0.02  # s, but never less than this
@@ -66,7 +65,7 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     shared = streams[0].time
     if rate is None and is_uniform(shared) and all(np.array_equal(s.time, shared) for s in streams):
         return shared
-    spanning = [s for s in streams if s.name in MOTION or s.name in ROTORS] or streams
+    spanning = spanning_streams(streams)
     start = min(float(s.time[0]) for s in spanning)
     end = max(float(s.time[-1]) for s in spanning)
     chosen = rate if rate is not None else _natural_rate(spanning)

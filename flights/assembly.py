@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
-from flights.log import LogContent, Repair, Stream
-from flights.quantities import QUANTITIES
+from flights.log import LogContent, Repair, Stream, spanning_streams
+from flights.quantities import PRIMARY, QUANTITIES, ROTORS
 from flights.source import MAX_STEP_BACK
 
 MAX_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
@@ -33,6 +35,7 @@ class Assembly:
         self.parameters: dict[str, float] = {}
         self._streams: list[Stream] = []
         self._spares: list[Stream] = []
+        self._faults: dict[str, tuple[str, DataError]] = {}  # of primary quantities, by source
         self._notes: list[str] = []
         self._repairs: list[Repair] = []
         self._epoch: int | None = None
@@ -63,23 +66,52 @@ class Assembly:
         values: (n,) or (n, k), in our units and frames.
         spare: used only where no other source has the quantity.
 
-        Raises DataError when the time stamps cannot be those of one recording.
+        A source whose stamps or values cannot be those of one recording is left out; `finish` raises its error where
+        the quantity is primary and no other source has it. A secondary one is cut where its clock was set.
         """
         stamps = np.asarray(time, dtype=float)
-        table = np.asarray(values, dtype=float).reshape(len(stamps), -1)
         if not len(stamps):
             return
-        parts = QUANTITIES[name].parts
-        if parts is not None and table.shape[1] != max(1, len(parts)):
-            raise ValueError(f"{name} has {max(1, len(parts))} columns, not {table.shape[1]}")
-        stamps, table = self._in_order(stamps, table, f"{name} ({source})")
-        table = self._finite(table, f"{name} ({source})")
-        if QUANTITIES[name].parts == ("w", "x", "y", "z"):
-            table = self._unit_length(table, f"{name} ({source})")
+        what = f"{name} ({source})"
+        try:
+            stamps, table = self._checked(name, stamps, np.asarray(values, dtype=float), what)
+        except DataError as error:
+            if name in PRIMARY:
+                self._faults.setdefault(what, (name, error))
+            else:
+                self.repair("stream_left_out", f"{error} It is left out.")
+            return
         if not len(stamps) or np.isnan(table).all():
-            self.note(f"{name} ({source}) holds no value and is left out")
+            self.note(f"{what} holds no value and is left out")
             return
         (self._spares if spare else self._streams).append(Stream(name, stamps, table, source))
+
+    def _checked(self, name: str, time: Floats, values: Floats, what: str) -> tuple[Floats, Floats]:
+        """Stamps (n,) and values (n, k) of a stream, repaired. Raises DataError where they are none of one recording.
+
+        values: (m,) or (m, k).
+        """
+        table, parts = values.reshape(len(time), -1), QUANTITIES[name].parts
+        if parts is not None and table.shape[1] != max(1, len(parts)):
+            raise DataError(f"{what}: it has {table.shape[1]} columns. Wanted {max(1, len(parts))}.")
+        if name not in PRIMARY:
+            time, table = self._cut(time, table, what)
+        time, table = self._in_order(time, table, what)
+        table = self._finite(table, what)
+        return time, self._unit_length(table, what) if parts == ("w", "x", "y", "z") else table
+
+    def _cut(self, time: Floats, values: Floats, what: str) -> tuple[Floats, Floats]:
+        """The longest part of a stream between places where its clock goes back too far to put its rows in order."""
+        edges = [0, *(np.flatnonzero(np.diff(time) < -MAX_STEP_BACK) + 1).tolist(), len(time)]
+        if len(edges) == 2 or _stray(time).any():
+            return time, values
+        start, stop = max(pairwise(edges), key=lambda part: part[1] - part[0])
+        self.repair(
+            "stream_cut",
+            f"{what}: the time stamps go back by up to {float(-np.diff(time).min()):.3g} s; of {len(time)} rows those "
+            f"from {start + 1} to {stop} are used, which are in order",
+        )
+        return time[start:stop], values[start:stop]
 
     def _in_order(self, time: Floats, values: Floats, what: str) -> tuple[Floats, Floats]:
         """Rows with finite, strictly increasing stamps."""
@@ -152,12 +184,20 @@ class Assembly:
         return fixed
 
     def finish(self, *, keep_time: bool = False) -> LogContent:
-        """The content, its time starting at 0 with the first sample of any stream.
+        """The content, its time starting at 0 with the first sample of motion or rotors.
 
         keep_time: leave the time as it is.
+
+        Raises DataError where no source of a primary quantity can be used, and one is there.
         """
         streams = [*self._streams, *self._spares]
-        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in streams), default=0.0)
+        present = {stream.name for stream in streams}
+        for name, error in self._faults.values():
+            if present.isdisjoint(ROTORS if name in ROTORS else (name,)):
+                raise error
+            self.repair("stream_left_out", f"{error} It is left out, since another source has that quantity.")
+        spanning = spanning_streams(streams)
+        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in spanning), default=0.0)
         return LogContent(
             tuple(Stream(one.name, _shifted(one.time, start), one.values, one.source) for one in streams),
             start + (self._epoch or 0) * 1e-9,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
@@ -15,7 +15,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from flights import tables
 from flights.alignment import align
-from flights.log import Log, Origin, Provenance
+from flights.log import Log, Origin, Provenance, Stream
 from flights.pose_source import PoseSource, source_of
 from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
 from flights.reading import read_log
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas
 
 MIN_SEGMENT = 0.5  # s
+SAME_RATE = 1e-6  # of a rate, within which clocks differ by rounding
 MAX_JITTER = 0.5  # of a period, by which a row may be early or late
 
 
@@ -159,6 +160,16 @@ class Flight:
         """The rows from start to before stop, with their times as they are."""
         columns = {name: values[start:stop] for name, values in self.columns.items()}
         return type(self)(self.time[start:stop], columns, self.provenance, self.origins, self.parameters, self.metadata)
+
+    def has_rate(self, rate: float) -> bool:
+        """Whether it is of a single row, or of this rate, Hz, but for the rounding of its clock."""
+        return not self.rate or abs(self.rate - rate) < SAME_RATE * rate
+
+    def at_rate(self, rate: float) -> Self:
+        """The flight on a clock of another rate, Hz; of a log, `from_log` interpolates once less."""
+        streams = tuple(Stream(name, self.time, self[name].reshape(len(self), -1), "") for name in self.quantities)
+        log = Log(streams, self.provenance, metadata=self.metadata, parameters=self.parameters)
+        return replace(type(self).from_log(log, rate=rate), origins=self.origins)
 
     def usable(self) -> NDArray[np.bool_]:
         """(n,) whether the vehicle was armed, as far as that was logged, and no quantity of motion has a gap."""

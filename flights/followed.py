@@ -207,14 +207,14 @@ def _add(content: _Content, topic: str, data: bytes) -> None:
             content.setpoints.append(msgspec.json.decode(data, type=_Setpoint))
         elif topic == OBSERVATION and content.start is None:
             content.start = msgspec.json.decode(data, type=_Timed).time
-    except (msgspec.DecodeError, msgspec.ValidationError):
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return
 
 
 def _mode(metadata: Mapping[str, str]) -> str:
     try:
         return msgspec.json.decode(metadata.get("controller", "{}"), type=_Controller).adaptation.mode
-    except (msgspec.DecodeError, msgspec.ValidationError):
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return ""
 
 

@@ -6,16 +6,17 @@ that a reader makes to the file's content is a named `Repair`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from dynamics.arrays import Floats
-from flights.quantities import QUANTITIES, Quantity
+from flights.quantities import PRIMARY, QUANTITIES, Quantity
 
-DAMAGE = ("torn_gzip", "torn_rows", "torn_end", "damaged_messages")  # names of repairs that leave something out
+# names of repairs that leave something out
+DAMAGE = ("torn_gzip", "torn_rows", "torn_end", "damaged_messages", "stream_cut", "stream_left_out")
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,13 @@ class Log:
 
     @property
     def duration(self) -> float:
-        """Seconds from the first sample of any stream to the last."""
+        """Seconds from the first sample of motion or rotors to the last, of any stream where there are none."""
         if not self.streams:
             return 0.0
-        first = min(stream.time[0] for stream in self.streams)
-        return float(max(stream.time[-1] for stream in self.streams) - first)
+        spanning = spanning_streams(self.streams)
+        return float(max(stream.time[-1] for stream in spanning) - min(stream.time[0] for stream in spanning))
+
+
+def spanning_streams(streams: Sequence[Stream]) -> list[Stream]:
+    """Those whose time is the flight's: of motion and rotors, or all where there are none."""
+    return [stream for stream in streams if stream.name in PRIMARY] or list(streams)

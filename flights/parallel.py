@@ -15,10 +15,14 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
+from dynamics.approvals import Kind
 from dynamics.errors import RequestError, VehicleError
+from dynamics.trust import approve_here, approved_here
+from dynamics.workbench_install import workbench_install
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Approved = tuple[tuple[Kind, str], ...]
 
 
 def parallel_map(
@@ -73,7 +77,7 @@ def _in_pool(
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
     context = multiprocessing.get_context("spawn")
     started = context.Event()
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(started,))
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(started, approved_here()))
     running: dict[Future[Result], int] = {}
     try:
         while waiting or running:
@@ -97,8 +101,9 @@ def _in_pool(
     return []
 
 
-def _begin(started: Event) -> None:
+def _begin(started: Event, approved: Approved) -> None:
     started.set()
+    approve_here(approved)
     end_with_parent()
 
 
@@ -128,9 +133,7 @@ def _on_cluster(
     try:
         from dask import distributed  # the flight computer has none
     except ImportError as error:
-        raise RequestError(
-            "--scheduler needs Dask: pip install 'alula[workbench]', or leave the option out."
-        ) from error
+        raise RequestError(f"--scheduler needs Dask: {workbench_install()}, or leave the option out.") from error
     try:
         client = distributed.Client(address, timeout=5, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -138,7 +141,10 @@ def _on_cluster(
             f"no Dask scheduler answers at {address}: {error}. Start `dask scheduler` and `dask worker`."
         ) from error
     with client:
-        places = {client.submit(function, item, pure=False): index for index, item in enumerate(items)}
+        places = {
+            client.submit(_approving, approved_here(), function, item, pure=False): index
+            for index, item in enumerate(items)
+        }
         for done in distributed.as_completed(list(places), loop=client.loop):
             place = places.pop(done)
             try:
@@ -149,6 +155,12 @@ def _on_cluster(
                 result = killed(items[place])
             done.release()
             yield place, result
+
+
+def _approving(approved: Approved, function: Callable[[Item], Result], item: Item) -> Result:
+    """A function's result where the effects are approved that are so in the process that asks for it."""
+    approve_here(approved)
+    return function(item)
 
 
 def _cluster_result(done: Any, killed: type[Exception]) -> Any:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynamics import quaternion
+from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import (
@@ -28,7 +28,7 @@ from flights.agreement import (
     rms,
 )
 from flights.alignment import resample
-from flights.log import Stream
+from flights.log import Stream, spanning_streams
 from flights.quantities import MOTION
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ _MIN_LATERAL = 0.2  # m/s^2 rms of force along body x and y that both sensors mu
 _MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
 _WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
 _CLIPPED = 0.01  # share of values at the largest, from which on a range ends there
+_CLEAR_FIT, _CLEARER_FIT = 0.8, 0.3  # correlation about zero of the order x, y, z, w, and by which it is better
 _DEAD = 0.005  # of the turning that an axis of the gyro must show
 _CLEAR_RATE = 0.15  # rad/s rms about an axis, at which it must show it
 
@@ -75,6 +76,9 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         first.setdefault(stream.name, stream)
     grid = _grid(list(first.values()))
     on_grid: dict[str, Floats] = {name: resample(first[name], grid) for name in MOTION if name in first}
+    order = _quaternion_order(on_grid)
+    if order is not None:  # every other comparison with the attitude would be of that
+        return (order,)
     contradictions = [
         _too_slow(first),
         _impossible_rates(first),
@@ -101,8 +105,9 @@ def check_flight(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction,
 
 
 def _grid(streams: list[Stream]) -> Floats:
-    start = min((float(stream.time[0]) for stream in streams), default=0.0)
-    end = max((float(stream.time[-1]) for stream in streams), default=0.0)
+    spanning = spanning_streams(streams)
+    start = min((float(stream.time[0]) for stream in spanning), default=0.0)
+    end = max((float(stream.time[-1]) for stream in spanning), default=0.0)
     count = min(int((end - start) * _GRID_RATE) + 1, _MAX_ROWS)
     return np.asarray(start + np.arange(count) / _GRID_RATE)
 
@@ -117,6 +122,44 @@ def _too_slow(first: dict[str, Stream]) -> Contradiction | None:
                 "seconds. Wanted seconds; divide it, or give a column mapping with its unit (ms, us, ns).",
             )
     return None
+
+
+def _quaternion_order(on_grid: dict[str, Floats]) -> Contradiction | None:
+    """An attitude whose columns are x, y, z, w: in that order it fits the gyro and the acceleration, with w first not.
+
+    Gravity alone does not tell: a level attitude with w last is another level one.
+    """
+    if "attitude" not in on_grid:
+        return None
+    reordered = {**on_grid, "attitude": frames.quaternion_from_xyzw(on_grid["attitude"])}
+    fits = [(fit(on_grid), fit(reordered)) for fit in (_turning_fit, _acceleration_fit)]
+    comparisons = [(logged, other) for logged, other in fits if logged is not None and other is not None]
+    clear = [pair for pair in comparisons if pair[1] > _CLEAR_FIT and pair[0] < pair[1] - _CLEARER_FIT]
+    if not clear or any(other < logged for logged, other in comparisons):
+        return None
+    return Contradiction(
+        "quaternion_order",
+        "the attitude's quaternion is x, y, z, w: in that order it agrees with the other sensors (agreement "
+        f"{clear[0][1]:.2f}), with w first it does not ({clear[0][0]:.2f}). Wanted w, x, y, z; put w first, or give a "
+        "column mapping with order = 'xyzw'.",
+    )
+
+
+def _turning_fit(on_grid: dict[str, Floats]) -> float | None:
+    """Correlation about zero of the attitude's turning and the body rates; None where they cannot be compared."""
+    if "rate" not in on_grid:
+        return None
+    pair = both(_turned(on_grid["attitude"]) * (_GRID_RATE / _SPAN), _mean(on_grid["rate"]))
+    return None if pair is None or rms(pair[1]) < _MIN_RATE else agreement(*pair)
+
+
+def _acceleration_fit(on_grid: dict[str, Floats]) -> float | None:
+    """Correlation about zero of horizontal acceleration and the specific force, or the thrust's tilt, in the world."""
+    if "velocity" not in on_grid:
+        return None
+    force = on_grid.get("specific_force", np.array([0.0, 0.0, GRAVITY]))
+    pair = both(_change(on_grid["velocity"])[:, :2], _mean(quaternion.rotate(on_grid["attitude"], force))[:, :2])
+    return None if pair is None or rms(pair[0]) < _MIN_ACCELERATION else agreement(*pair)
 
 
 def _impossible_rates(first: dict[str, Stream]) -> Contradiction | None:

@@ -75,6 +75,8 @@ QUANTITIES: Mapping[str, Quantity] = {
 MOTION = ("position", "velocity", "attitude", "rate", "specific_force")
 ROTORS = tuple(name for name, quantity in QUANTITIES.items() if quantity.parts is None)
 RESET_COUNTERS = tuple(name for name in QUANTITIES if name.endswith("reset_counter"))
+# What the physics needs; every other quantity is secondary, and a defect of its own refuses no flight.
+PRIMARY = frozenset((*MOTION, "acceleration", "roll", "pitch", "yaw", *ROTORS))
 
 _FIXED: Mapping[str, str] = {
     column: quantity.name

@@ -41,10 +41,12 @@ from runtime.record.records import (
     TextRecord,
     TickRecord,
 )
+from runtime.setpoint_stream import SetpointStream
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
 HORIZON_EVERY = 10  # ticks between recorded horizons, and between records of what the model follows
+STOP_PATIENCE = 0.6  # s in which the flight logic ends the stream after a request to stop
 MAX_DEFECTS = 10  # consecutive ticks that raise, a defect of ours, after which the stream is stopped
 LATE_SHARE = 0.2  # share of late ticks above which DEADLINES_MISSED is present
 Notification = Transition | EventChange | str
@@ -56,7 +58,7 @@ class Requests:
 
     engage: to take control; the one that the control thread writes as well, to clear it.
     leave: why to land, empty while no landing is requested.
-    stop: to stop streaming at once.
+    stop: to stop streaming at once, with the last setpoints that may be held.
     estimates_keep_up: whether estimates come about as often as ticks.
     slow_findings: events that the supervisor's slow checks found, with details.
     """
@@ -78,6 +80,7 @@ class ControlThread:
     first_setpoint: when it was sent, s, monotonic; NaN before.
     defect: the last exception of a tick, empty when there was none.
     ticks: done so far.
+    stream: of setpoints, for the supervisor's watch.
     """
 
     def __init__(
@@ -105,8 +108,11 @@ class ControlThread:
         self._estimate: StateEstimate | None = None
         self._free = self._busy_before = self._busy_at_departure = 0.0
         self.ticks = self._defects = 0
+        self._failed = False
         self._preparation = 0.0
         self._phase = Phase.GROUND
+        self._stop_since = float("inf")
+        self.stream = SetpointStream(link, self._put)
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
     def start(self) -> None:
@@ -114,7 +120,9 @@ class ControlThread:
         self._thread.start()
 
     def join(self, timeout: float) -> bool:
-        """Wait for the end. timeout: s. Returns whether the thread has ended."""
+        """Wait for the end. timeout: s. Returns whether the thread has ended, or never started."""
+        if self._thread.ident is None:
+            return True
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
@@ -122,9 +130,17 @@ class ControlThread:
         if self._priority is not None:
             for refusal in realtime.schedule_thread(self._priority, self._processor):
                 self.notifications.put(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+        try:
+            self._run_ticks()
+        except Exception as error:  # a defect outside of the ticks ends the flight in order as well
+            self.defect, self._failed = f"the control loop failed: {error!r}", True
+        finally:
+            self._leave()
+
+    def _run_ticks(self) -> None:
         start = self._free = time.monotonic()
         schedule = Schedule(self._period, start=start)
-        while not self._requests.stop and not self._flyer.over:
+        while not self._flyer.over and not self._stopped_for_good():
             schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
             woken, busy = time.monotonic(), time.thread_time()
@@ -137,11 +153,24 @@ class ControlThread:
                 self.defect = f"tick {self.ticks} failed: {error!r}"
                 self._put(TextRecord(woken, "daemon", 3, self.defect), woken)
                 if self._defects >= MAX_DEFECTS:
-                    self.notifications.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
             self.ticks += 1
             self._busy_before = time.thread_time() - self._busy_at_departure
             self._free = time.monotonic()
+
+    def _stopped_for_good(self) -> bool:
+        """Whether a stop was requested so long ago that the flight logic has not ended the stream by itself."""
+        if not self._requests.stop:
+            return False
+        self._stop_since = min(self._stop_since, time.monotonic())
+        return time.monotonic() - self._stop_since > STOP_PATIENCE
+
+    def _leave(self) -> None:
+        """End a stream that the flight logic did not end: by a setpoint that may be held, and a mode that lands."""
+        if self.stream.close():
+            self.autopilot_requests.put(AutopilotRequest.LAND)
+        if self._defects >= MAX_DEFECTS or self._failed:
+            self.notifications.put(f"stopped streaming, LAND is requested: {self.defect}")
 
     def _await(self, schedule: Schedule) -> tuple[float, bool]:
         """Wait for what triggers the next tick. Returns when that was and whether it was the clock."""
@@ -158,8 +187,12 @@ class ControlThread:
         observation = self._observe(woken)
         estimate = self._estimate
         decision = self._flyer.step(observation, estimate)
+        self.stream.send(decision)
         if decision.rate_body is not None:
-            self._send(decision)
+            x, y, z = decision.rate_body.tolist()
+            self._telemetry.echo.sent(self.stream.newest, (x, y, z), decision.thrust)
+        if decision.rate_body is not None and isnan(self.first_setpoint):
+            self.first_setpoint = self.stream.newest
         departed, self._busy_at_departure = time.monotonic(), time.thread_time()
         busy = self._busy_at_departure - busy_at_start
         times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
@@ -169,13 +202,6 @@ class ControlThread:
         self._publish(decision)
         self._record(observation, estimate, decision, times, cause)
 
-    def _send(self, decision: Decision) -> None:
-        assert decision.rate_body is not None
-        x, y, z = decision.rate_body.tolist()
-        self._link.send_rate_setpoint((x, y, z), decision.thrust)
-        if isnan(self.first_setpoint):
-            self.first_setpoint = time.monotonic()
-
     def _observe(self, now: float) -> ObservationRecord:
         status, update = self._link.status, self._telemetry.take()
         findings = {**update.events, **self._requests.slow_findings}
@@ -183,6 +209,9 @@ class ControlThread:
             findings[Event.LINK_LOST] = f"for {now - status.last_heard:.1f} s"
         if self.deadlines.recent_share > LATE_SHARE:
             findings[Event.DEADLINES_MISSED] = f"{self.deadlines.recent_share:.0%} of the last hundred"
+        follows = status.armed and status.mode == "OFFBOARD" and self.stream.open
+        if other := self._telemetry.echo.finding(now, judged=follows):
+            findings[Event.OTHER_CONTROLLER] = other
         engage, self._requests.engage = self._requests.engage, False
         return ObservationRecord(
             tick=self.ticks,
@@ -201,6 +230,7 @@ class ControlThread:
             specific_force_xy=update.specific_force_body[:2],
             engage=engage,
             leave=self._requests.leave,
+            stop=self._requests.stop,
             battery_voltage=update.battery_voltage,
             **_rotor_fields(update.rotors),
         )

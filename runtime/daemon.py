@@ -1,14 +1,14 @@
 """The daemon: one flight's link, control thread, request worker, recorder, and supervisor.
 
 The supervisor runs in the caller's thread and does whatever may take long: it requests rates, runs the slow
-checks, publishes notifications, and turns SIGINT and SIGTERM into a landing.
+checks, publishes notifications, and turns signals into a landing.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from math import isnan
 from pathlib import Path
@@ -19,12 +19,20 @@ from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
+from runtime.autopilot_parameters import read_rate_gains, read_thrust_curve
 from runtime.control.adaptation import Followed
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
-from runtime.flight.composition import Controllers, build_controllers, build_flyer, vehicle_facts, warm_up
+from runtime.flight.composition import (
+    Controllers,
+    build_controllers,
+    build_flyer,
+    use_lookaheads,
+    vehicle_facts,
+    warm_up,
+)
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
@@ -32,22 +40,23 @@ from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import THRUST_CURVE, rotor_speed
+from runtime.flight.thrust import rotor_speed
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
-from runtime.link.parameters import read_parameter
 from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import EstimatorSample, VehicleStatus
+from runtime.rate_loop_check import oscillation_problem
 from runtime.record.recorder import Recorder
-from runtime.record.records import EventRecord, ParameterRecord
+from runtime.record.records import EventRecord
 from runtime.request_worker import RequestWorker, link_handlers
 from runtime.rotor_loss_note import leave_note, require_no_note
 from runtime.service_manager import ServiceManager
 from runtime.stream_requests import StreamRequests
+from runtime.stream_watch import StreamWatch
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import TimingReport
 
@@ -60,6 +69,7 @@ READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
 ESTIMATOR_AGE = 2.0  # s for which an ESTIMATOR_STATUS counts
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
+REQUEST_PATIENCE = 2.5  # s in which the autopilot is to answer the last request, such as LAND
 PILOT_REMINDER = 10.0  # s between the lines that say that the pilot is to arm
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
@@ -68,6 +78,7 @@ SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may
     "ESTIMATOR_STATUS": 2.0,
     "ESC_STATUS": 100.0,
     "SERVO_OUTPUT_RAW": 100.0,
+    "ATTITUDE_TARGET": 20.0,  # whose setpoints the autopilot follows
 }
 
 
@@ -85,6 +96,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: folder for the recording, None for none.
     name: of the recording; the date and time if empty.
     system: the vehicle's system id, None for the first one heard.
+    roaming: whether the vehicle may continue from another address after a silence.
     timeout: s to wait for the vehicle.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on, None for any.
@@ -100,6 +112,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: Path | None = None
     name: str = ""
     system: int | None = None
+    roaming: bool = False
     timeout: float = 10.0
     priority: int | None = None
     processor: int | None = None
@@ -173,7 +186,8 @@ class Daemon:
 
     def _announce(self, text: str, at: float | None = None) -> None:
         """Publish a line. at: when it happened, s, monotonic; None for now."""
-        self._publish_line(f"{(at or time.monotonic()) - self._created:8.2f} s  {text}")
+        with suppress(OSError, ValueError):  # a terminal or pipe that is closed ends no flight
+            self._publish_line(f"{(at or time.monotonic()) - self._created:8.2f} s  {text}")
 
     def interrupt(self, name: str) -> None:
         """Land, and on a second call stop streaming at once. For signal handlers; name: the signal's.
@@ -198,15 +212,19 @@ class Daemon:
             stack.callback(self._service.close)
             self._telemetry = TelemetryBuffer(self._recorder)
             self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
-            settings = LinkSettings(target_system=request.system, priority=self._scheduling.priority)
+            settings = LinkSettings(
+                target_system=request.system, roaming=request.roaming, priority=self._scheduling.priority
+            )
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             # while the link listens
             controllers = build_controllers(self._vehicle, self._bundle, self._controller_options())
             warm_up(controllers, self._reference, request.plan, rate=request.rate)
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
-            control = self._start(link, controllers)
-            stack.callback(self._stop, link, control)
+            link.require_one_vehicle()
+            control = self._prepare(link, controllers)
+            stack.callback(self._stop, link, control)  # before the first setpoint: whatever fails from now on parts
+            self._start(link, control)
             self._serve(link, control)
             return self._report(link, control)
 
@@ -248,15 +266,17 @@ class Daemon:
     def _settings(self) -> FlyerSettings:
         return msgspec.structs.replace(self._request.settings, period=1.0 / self._request.rate)
 
-    def _start(self, link: Link, controllers: Controllers) -> ControlThread:
+    def _prepare(self, link: Link, controllers: Controllers) -> ControlThread:
+        """Check the start, and build what flies; nothing is sent to the vehicle but requests for streams."""
         request = self._request
         realtime.prepare_interpreter()
         scheduling = self._scheduling
         scheduling.raise_all(BACKGROUND_PRIORITY, exempt="link")
         self._report_refusals()
-        rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
-        request_rates(link, rates)
-        thrust_curve = self._thrust_curve(link)
+        self._rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
+        request_rates(link, self._rates)
+        thrust_curve = read_thrust_curve(link, self._recorder, self._announce)
+        self._use_rate_gains(link, controllers)
         self._flyer = build_flyer(
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
@@ -264,7 +284,7 @@ class Daemon:
             self._read_rotors(link)
         self._check_start(link, controllers.flying.trim)
         self._requests.slow_findings = self._settle(link)
-        control = ControlThread(
+        return ControlThread(
             link,
             self._telemetry,
             self._flyer,
@@ -274,24 +294,30 @@ class Daemon:
             processor=request.processor,
             recorder=self._recorder,
         )
+
+    def _start(self, link: Link, control: ControlThread) -> None:
+        """Start the control thread, and the worker that passes its requests on."""
+        self._worker = RequestWorker(control.autopilot_requests, link_handlers(link), lambda: control.join(0.0))
         self._engagement_requested = True
         self._requests.engage = True
         control.start()
+        self._worker.start()
         self._service.ready()
-        self._streams = StreamRequests(partial(request_rates, link), {**rates, **SLOW_STREAMS})
+        self._streams = StreamRequests(partial(request_rates, link), {**self._rates, **SLOW_STREAMS})
         self._streams.send(time.monotonic())
-        return control
 
-    def _thrust_curve(self, link: Link) -> float:
-        """The autopilot's THR_MDL_FAC, read and recorded."""
-        curve = read_parameter(link, THRUST_CURVE)
-        if curve.value is None:
-            self._announce(f"{THRUST_CURVE} could not be read ({curve.error}); 0 is assumed")
-        factor = float(curve.value or 0.0)
-        if self._recorder is not None:
-            now = time.monotonic()
-            self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
-        return factor
+    def _use_rate_gains(self, link: Link, controllers: Controllers) -> None:
+        """Look ahead as far as the autopilot's own gains require; refuse what would oscillate with them."""
+        gains = read_rate_gains(link, self._vehicle, self._recorder, self._announce)
+        if gains is not None:
+            options = self._controller_options().for_autopilot(self._vehicle, gains)
+            use_lookaheads(controllers, options)
+        for controller in filter(None, controllers):
+            problem = oscillation_problem(controller, self._vehicle, gains)
+            if problem is not None and problem.severity == "error":
+                raise VehicleError(f"The vehicle is not armed: {problem.text}")
+            if problem is not None:
+                self._announce(f"warning: {problem.text}")
 
     def _read_rotors(self, link: Link) -> None:
         """Let speeds of the rotors reach the flight, where it is clear which motor is which rotor."""
@@ -357,13 +383,13 @@ class Daemon:
 
     def _serve(self, link: Link, control: ControlThread) -> None:
         """Supervise until the control thread is done."""
-        handlers = link_handlers(link)
-        self._worker = RequestWorker(control.autopilot_requests, handlers, lambda: control.join(0.0))
-        self._worker.start()
+        watch = StreamWatch(control, link)
         self._heard_since, self._reminded = time.monotonic(), -float("inf")
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
             self._service.progress(control.ticks)
+            if standstill := watch.check(now):
+                self._announce(standstill)
             self._requests.slow_findings = self._slow_findings(link, now)
             self._report_refusals()
             self._publish(link, control)
@@ -372,8 +398,9 @@ class Daemon:
             if self._requests.leave:
                 self._landing_since = min(self._landing_since, now)
             if now - self._landing_since > LANDING_PATIENCE:
-                self._announce(f"not landed within {LANDING_PATIENCE:g} s, the autopilot's failsafe acts")
+                self._announce(f"not landed within {LANDING_PATIENCE:g} s, LAND is requested")
                 self._requests.stop = True
+        self._worker.join(REQUEST_PATIENCE)
         self._publish(link, control)
 
     def _await_readiness(self, link: Link, now: float) -> None:
@@ -451,9 +478,12 @@ class Daemon:
     # --- after the flight
 
     def _stop(self, link: Link, control: ControlThread) -> None:
-        """End the control thread: no setpoint leaves after this, whatever ended the flight."""
+        """End the control thread: no setpoint leaves after this, whatever ended the flight, but those it may hold."""
         self._requests.stop = True
-        if not control.join(STOP_PATIENCE):
+        if control.join(STOP_PATIENCE):
+            self._worker.join(REQUEST_PATIENCE)
+        else:
+            StreamWatch(control, link).end_stream()
             link.close()
             self._announce(f"the control thread did not end within {STOP_PATIENCE:g} s: its link was closed")
         self._service.stopping()

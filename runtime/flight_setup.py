@@ -11,22 +11,33 @@ from importlib import metadata
 from pathlib import Path
 
 import msgspec
-import tomlkit
 
 from dynamics import symbolic
 from dynamics.codegen import has_compiler
 from dynamics.command import command_line
+from dynamics.effect_source import (
+    EffectFile,
+    as_carried,
+    carried_files,
+    effect_file,
+    read_effect_file,
+    without_duplicates,
+)
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.trust import require_approved
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import (
+    effect_entries,
+    effect_files_in,
     find_vehicle,
     parse_vehicle,
     vehicle_text,
     vehicle_toml,
-    with_effect_files,
+    with_added_files,
     with_settings,
+    with_texts,
 )
 from dynamics.version import __version__
 from runtime.control.adaptation_settings import AdaptationSettings, Mode, NetworkSettings
@@ -72,7 +83,8 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     resume: whether to take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on.
-    system: the vehicle's system id, None for the first heard.
+    system: the vehicle's system id, None for the one on the link.
+    roaming: whether the vehicle may continue from another address after a silence.
     timeout: s to wait for the vehicle, and for a pilot who is to arm; left out, the pilot has no limit.
     """
 
@@ -95,6 +107,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: int | None = None
     processor: int | None = None
     system: int | None = None
+    roaming: bool = False
     timeout: float | None = None
 
 
@@ -127,6 +140,8 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         # the box is checked from the place of take-off, which only the vehicle knows
         anywhere = msgspec.structs.replace(trim, limits=msgspec.structs.replace(trim.limits, box=None))
         check_feasibility(reference, anywhere if setup.origin == "takeoff" else trim).require()
+    if vehicle.effect_files:
+        text = with_texts(text, as_carried(vehicle.effect_files))
     attachments = {VEHICLE_TEXT: text, **_effect_texts(vehicle)}
     if bundle is not None:
         attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
@@ -149,6 +164,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         ),
         record=setup.record,
         system=setup.system,
+        roaming=setup.roaming,
         timeout=VEHICLE_TIMEOUT if setup.timeout is None else setup.timeout,
         priority=setup.priority,
         processor=setup.processor,
@@ -230,9 +246,9 @@ def exported_bundle(folder: Path | None) -> Bundle | None:
 def flown_vehicle_text(
     vehicle: str | Vehicle | None, bundle: Path | None, effect_files: Sequence[str | Path] = ()
 ) -> str:
-    """The text of the vehicle file, effect files by whole paths.
+    """The text of the vehicle file with the texts of its effect files.
 
-    Raises RequestError unless exactly one of the two is given and can be read.
+    Raises RequestError unless exactly one of the two is given and can be read, or for effects that are not approved.
     """
     if vehicle is not None and bundle is not None:
         name = vehicle.name if isinstance(vehicle, Vehicle) else vehicle
@@ -243,27 +259,19 @@ def flown_vehicle_text(
     if vehicle is None and bundle is None:
         raise RequestError("nothing to fly: give either --vehicle V.toml or --bundle B.")
     if isinstance(vehicle, Vehicle):
-        return with_effect_files(vehicle_toml(vehicle), Path(), effect_files)
+        return vehicle_toml(with_added_files(vehicle, effect_files))
     path = bundle / VEHICLE if bundle is not None else find_vehicle(vehicle or "")
     if bundle is not None and not path.is_file():
         raise RequestError(f"{bundle} is no bundle: it has no {VEHICLE}. Give a folder that `alula export` wrote.")
-    return vehicle_text(path, effect_files=effect_files)
+    exported_bundle(bundle)  # whose approval is that of its effects
+    text = vehicle_text(path, effect_files=effect_files)
+    require_approved(effect_files_in(text), carrier=path)
+    return text
 
 
 def _effect_texts(vehicle: Vehicle) -> dict[str, str]:
-    """The vehicle's effect files by the names that a recording keeps them under."""
-    paths = map(Path, vehicle.effect_files)
-    return {f"{EFFECT_FOLDER}{path.name}": path.read_text(encoding="utf-8") for path in paths}
-
-
-def _require_recorded_effects(recording: FlightRecording, vehicle: Vehicle) -> None:
-    """Raise DataError where an effect file is another one than at the flight."""
-    for name, text in _effect_texts(vehicle).items():
-        if (flown := recording.attachments.get(name)) is not None and flown != text:
-            raise DataError(
-                f"{recording.path} was flown with another {name.removeprefix(EFFECT_FOLDER)}: the recording holds it "
-                f"as the attachment {name}. Put that back, or give it with --effects."
-            )
+    """The vehicle's effect files by the names that a recording keeps them under, to be read."""
+    return {f"{EFFECT_FOLDER}{file.name}": file.text for file in vehicle.effect_files}
 
 
 def recorded_flight(
@@ -284,8 +292,7 @@ def recorded_flight(
             f"{recording.path} holds no {' and no '.join(missing)}: `alula fly` did not write it, or not all."
         )
     replaced = vehicle is not None or bundle is not None
-    recorded = parse_vehicle(_recorded_text(recording.attachments[VEHICLE_TEXT], () if replaced else effect_files))
-    _require_recorded_effects(recording, recorded)
+    recorded = _recorded_vehicle(recording, () if replaced else effect_files)
     trim = hovering_vehicle(recorded, _recorded_manifest(recording))
     duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
     # the reference is that of the recorded vehicle, whatever vehicle flies it now
@@ -310,17 +317,42 @@ def _recorded_manifest(recording: FlightRecording) -> Manifest | None:
     text = recording.attachments.get(MANIFEST)
     try:
         return None if text is None else parse_manifest(text)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
 
 
-def _recorded_text(text: str, effect_files: Sequence[str | Path]) -> str:
-    """The text of a recorded vehicle file, with other effect files where some are given."""
-    if not effect_files:
-        return text
-    document = tomlkit.parse(text)
-    document["effect_files"] = [str(Path(path).resolve()) for path in effect_files]
-    return tomlkit.dumps(document)
+def _recorded_vehicle(recording: FlightRecording, effect_files: Sequence[str | Path]) -> Vehicle:
+    """The vehicle that a recording holds, with other effect files where some are given.
+
+    Raises DataError where one of these is another than at the flight, RequestError for effects that the user has not
+    approved: the recording's own texts are data.
+    """
+    flown = recorded_effect_files(recording)
+    further = [read_effect_file(path) for path in effect_files]
+    for file in further:
+        flown_so = {other.sha256 for other in flown if other.name == file.name}
+        if flown_so and file.sha256 not in flown_so:
+            raise DataError(
+                f"{recording.path} was flown with another {file.name}: the recording holds it as the attachment "
+                f"{EFFECT_FOLDER}{file.name}. Put that back, or give it with --effects."
+            )
+    files = further or flown
+    if not files and (entries := effect_entries(recording.attachments[VEHICLE_TEXT])):
+        raise RequestError(f"{recording.path} names {entries[0]} and does not hold it. Give it with --effects.")
+    require_approved(files, carrier=recording.path)
+    return parse_vehicle(with_texts(recording.attachments[VEHICLE_TEXT], files))
+
+
+def recorded_effect_files(recording: FlightRecording) -> list[EffectFile]:
+    """The effect files whose texts a recording carries; none are run.
+
+    Recordings of earlier versions name them by their whole paths, which are not opened: the text is an attachment.
+    """
+    entries = effect_entries(recording.attachments.get(VEHICLE_TEXT, ""))
+    names = [Path(entry).name for entry in entries if isinstance(entry, str)]
+    texts = {name: recording.attachments.get(f"{EFFECT_FOLDER}{name}") for name in names}
+    attached = [effect_file(name, text) for name, text in texts.items() if text is not None]
+    return without_duplicates([*as_carried(carried_files(entries)), *attached])
 
 
 def _table_text(path: Path) -> str:

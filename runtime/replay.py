@@ -7,9 +7,10 @@ import numpy as np
 
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
+from runtime.autopilot_parameters import recorded_rate_gains
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
-from runtime.flight.composition import build_controllers, build_flyer
+from runtime.flight.composition import build_controllers, build_flyer, use_lookaheads
 from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Plan
@@ -100,6 +101,8 @@ def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bund
     options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
     controllers = build_controllers(vehicle, bundle, options)
+    if (gains := recorded_rate_gains(recording.records(ParameterRecord))) is not None:
+        use_lookaheads(controllers, options.for_autopilot(vehicle, gains))
     return build_flyer(controllers, reference, plan, settings, thrust_curve=parameters.get(THRUST_CURVE, 0.0))
 
 

@@ -48,7 +48,9 @@ class RequestWorker:
         self._thread.start()
 
     def join(self, timeout: float) -> bool:
-        """Wait for the thread to end. timeout: s. Returns whether it has ended."""
+        """Wait for the thread to end. timeout: s. Returns whether it has ended, or never started."""
+        if self._thread.ident is None:
+            return True
         self._thread.join(timeout)
         return not self._thread.is_alive()
 

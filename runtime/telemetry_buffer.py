@@ -20,6 +20,7 @@ from runtime.link.link import Direction, LinkCallbacks
 from runtime.link.peer import Reaction
 from runtime.link.rates import arrival_rate
 from runtime.link.rotors import RotorReader, RotorReading
+from runtime.link.setpoint_echo import SetpointEcho
 from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -38,6 +39,7 @@ LINK_EVENTS: Mapping[str, Event] = {
     "estimate_frame_refused": Event.INPUT_NOT_FINITE,
     "estimate_time_backwards": Event.CLOCK_BACKWARDS,
     "clock_ran_backwards": Event.CLOCK_BACKWARDS,
+    "estimate_stamp_ahead": Event.STAMPS_AHEAD,
     "clock_jumped": Event.CLOCK_UNCERTAIN,
     "estimate_jump": Event.ESTIMATE_JUMP,
     "estimate_moved": Event.ESTIMATOR_RESET,
@@ -78,6 +80,7 @@ class TelemetryBuffer:
 
     texts: the vehicle's STATUSTEXTs, for the supervisor.
     notifications: events of the link, for the supervisor.
+    echo: of setpoints, for the control thread.
     rotor_reader: of the messages about motors; None where nobody needs their speeds.
     """
 
@@ -89,6 +92,7 @@ class TelemetryBuffer:
         self._force = NO_FORCE
         self._rotors: RotorReading | None = None
         self._voltage = nan
+        self.echo = SetpointEcho()
         self.rotor_reader: RotorReader | None = None
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
@@ -119,6 +123,8 @@ class TelemetryBuffer:
             self._estimate(reaction.estimate)
         if reaction.telemetry is not None:
             self._telemetry(reaction.telemetry)
+        if reaction.setpoint is not None:
+            self.echo.report(reaction.setpoint)
         for text in reaction.texts:
             self.texts.append(text.text)
             self._put(TextRecord(text.received, "vehicle", text.severity, text.text), text.received)

@@ -21,8 +21,9 @@ from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.references.campaign import REAL_WORLD, CampaignFlight, chosen_flights, paper_campaign
-from dynamics.vehicle import EffectUse, Vehicle
-from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle, vehicle_text
+from dynamics.trust import require_approved
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import effect_files_in, find_vehicle, parse_effect, parse_vehicle, vehicle_text
 from dynamics.version import __version__
 from flights.parallel import parallel_map
 from runtime.control.controller import Controller
@@ -97,13 +98,14 @@ class Campaign:
         self.flights = chosen_flights(self._catalogue, options.flights)
         text = vehicle_text(find_vehicle(options.vehicle), effect_files=options.effect_files)
         scenario_text = "" if options.scenario is None else _read(options.scenario, "scenario")
+        require_approved(effect_files_in(text), carrier=find_vehicle(options.vehicle))
         self._vehicle = parse_vehicle(text)
         effects = catalogue_of(self._vehicle)
         self._scenario = _checked(parse_scenario(scenario_text, self._vehicle.rotors.count, catalogue=effects))
         self._uses = self._hidden_effects()
         self.recipe = CampaignRecipe(
             vehicle=self._vehicle.name,
-            vehicle_sha256=_digest(text, self._vehicle),
+            vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
             effects=tuple(_described(use) for use in self._uses),
             scenario_sha256=hashlib.sha256(scenario_text.encode()).hexdigest() if scenario_text else "",
             seed=options.seed,
@@ -154,7 +156,7 @@ class Campaign:
             there = msgspec.json.decode(recipe.read_bytes(), type=CampaignRecipe)
         except OSError as error:
             raise RequestError(f"cannot write to {folder}: {error.strerror or error}. Give another --out.") from error
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise RequestError(f"{recipe} is no campaign's: {error}. Give another --out.") from error
         if there != self.recipe:
             fields = CampaignRecipe.__struct_fields__
@@ -221,12 +223,6 @@ def _checked(scenario: Scenario) -> Scenario:
             "or take them out for a campaign."
         )
     return scenario
-
-
-def _digest(text: str, vehicle: Vehicle) -> str:
-    """Of a vehicle file and the effect files that it names."""
-    parts = [text.encode(), *(Path(path).read_bytes() for path in vehicle.effect_files)]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _described(use: EffectUse) -> str:

@@ -33,8 +33,9 @@ from runtime.flight.mission import Phase, Plan
 from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import FollowedRecord, ObservationRecord
+from sitl_mock.vehicle.tuning import rate_gains
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
-from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, Tuning
 
 LATENCY = 0.005  # s from an estimate to the setpoint that follows from it, as over a link
 CLIMB_TIME, CLIMB_PATIENCE = 2.0, 120.0  # s; in gusts an autopilot arrives by chance
@@ -124,13 +125,15 @@ def fly_reference(
     nominal: Controller | None = None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
     steps: Sequence[ParameterStep] = (),
+    tuning: Tuning | None = None,
 ) -> FlownReference:
     """Fly a reference from its start to its end.
 
     effects: hidden from the controller.
     steps: of the vehicle in flight.
     options: the vehicle's sensors.
-    controller: None for one of the vehicle file alone.
+    controller: None for one of the vehicle file alone, which knows the autopilot's gains, as over a link.
+    tuning: of the autopilot; None for the vehicle file's, else what suits the vehicle as it is.
     nominal: the fallback of a learned model's controller.
 
     Raises VehicleError when the vehicle does not reach the reference's start.
@@ -138,10 +141,11 @@ def fly_reference(
     start = reference.states(np.zeros(1))[0]
     yaw = float(2 * np.arctan2(start[9], start[6]))
     options = options or VehicleOptions(yaw=yaw)
-    plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed, catalogue=catalogue)
+    plant = SimulatedVehicle(vehicle, effects=effects, options=options, tuning=tuning, seed=seed, catalogue=catalogue)
     _climb(plant, start[POSITION], yaw)
     if controller is None:
-        choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, catalogue=catalogue)
+        gains = rate_gains(plant.tuning)
+        choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, gains=gains, catalogue=catalogue)
         controller = Controller.build(vehicle, choice, catalogue)
     health = HealthLimits.for_vehicle(vehicle, catalogue)
     settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True), health=health)

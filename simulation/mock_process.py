@@ -87,7 +87,7 @@ def mock_process(*arguments: str, vehicle: str | Path = FOLDER / "px4_sih.toml")
         listener.bind(("127.0.0.1", 0))
         port, gcs_port = int(listener.getsockname()[1]), free_port()
         links = ["--link", f"udpout:127.0.0.1:{port}", "--gcs-link", f"udpout:127.0.0.1:{gcs_port}"]
-        command = [sys.executable, "-m", "alula", "mock", "--vehicle", str(vehicle), *links, *arguments]
+        command = [sys.executable, "-P", "-m", "alula", "mock", "--vehicle", str(vehicle), *links, *arguments]
         # its input ends with this process, however that ends, and the mock with its input
         command.append("--end-with-input")
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=dict(os.environ))

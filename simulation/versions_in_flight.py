@@ -10,6 +10,7 @@ import numpy as np
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.progress import Progress, no_progress
+from dynamics.rate_loop import autopilot_gains
 from dynamics.references import check_feasibility, named_reference
 from dynamics.vehicle import Vehicle
 from flights.log import Log
@@ -61,10 +62,11 @@ def fly_versions(
     body, trim = msgspec.structs.replace(present, effects=()), hovering_vehicle(present)
     path = named_reference(reference, trim, duration=duration)
     check_feasibility(path, trim).require()
+    gains = autopilot_gains(body, present.effects, catalogue)  # that both fly with
     flights, setpoint = [], np.zeros((0, 3))
     for number, (name, model) in enumerate((("the first version", first), ("the present version", present))):
         progress(number / 2, f"flight with {name} in the controller")
-        options = ControllerOptions.for_vehicle(model, period=CONTROL_PERIOD, catalogue=catalogue)
+        options = ControllerOptions.for_vehicle(model, period=CONTROL_PERIOD, gains=gains, catalogue=catalogue)
         controller = Controller.build(model, options, catalogue)
         flown = fly_reference(body, path, effects=present.effects, controller=controller, catalogue=catalogue)
         setpoint = _thinned(flown.log, "position_setpoint")

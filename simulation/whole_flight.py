@@ -6,6 +6,7 @@ sends them (every second or third of its steps of 4 ms), with the estimator's er
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,12 +33,14 @@ from runtime.flight.thrust import rotor_speed
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.odometry import Odometry
 from runtime.link.rotors import RotorReader, RotorReading, motor_of_rotors
+from runtime.link.setpoint_echo import SetpointEcho, SetpointReport
 from runtime.link.telemetry import EstimatorSample, MotorOutputs, RotorSpeeds, decode_telemetry
 from runtime.record.records import ObservationRecord
 from runtime.telemetry_buffer import LINK_EVENTS
 from sitl_mock.autopilot.autopilot import Autopilot
 from sitl_mock.autopilot.modes import Mode
 from sitl_mock.mock import MockOptions, build_autopilot
+from sitl_mock.vehicle.tuning import rate_gains
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 from sitl_mock.wire.motion_messages import LOCAL_NED
@@ -46,6 +49,7 @@ from sitl_mock.wire.status_messages import esc_status, estimator_status, servo_o
 from sitl_mock.wire.streams import TOLERANCE
 
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
+REPORT_PERIOD = 0.05  # s between two ATTITUDE_TARGET
 ESTIMATOR_PERIOD = 0.5  # s between two ESTIMATOR_STATUS
 WAITING = 3.0  # s that the vehicle stands before it is engaged
 ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
@@ -66,6 +70,7 @@ class WholeFlight:
     reference: (ticks, 3) position of the reference in the estimator's frame, m; NaN where none is tracked.
     phases: (ticks,) of the mission.
     thrust: (ticks,) collective thrust sent, N; 0 where nothing is sent.
+    setpoints_sent: (ticks,) whether a setpoint was sent.
     armed: (ticks,) whether the motors may turn.
     ground_force: (ticks,) share of the weight that the ground carries.
     clearance: (ticks,) distance of the feet from the ground, m.
@@ -83,6 +88,7 @@ class WholeFlight:
     reference: list[Floats] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     thrust: list[float] = field(default_factory=list)
+    setpoints_sent: list[bool] = field(default_factory=list)
     armed: list[bool] = field(default_factory=list)
     ground_force: list[float] = field(default_factory=list)
     clearance: list[float] = field(default_factory=list)
@@ -170,12 +176,12 @@ def fly_whole(
     rotors: message by which the autopilot sends what its rotors do, with every estimate; none by default.
     """
     vehicle = read_vehicle(options.vehicle, effect_files=options.effect_files)
-    if controllers is None:
-        controllers = Controllers(
-            Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD))
-        )
     settings = settings or FlyerSettings(period=CONTROL_PERIOD, health=HealthLimits.for_vehicle(vehicle))
     autopilot = build_autopilot(options)
+    if controllers is None:
+        gains = rate_gains(autopilot.parameters.tuning())
+        choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, gains=gains)
+        controllers = Controllers(Controller.build(vehicle, choice))
     curve = autopilot.parameters["THR_MDL_FAC"]
     flyer = build_flyer(controllers, reference, plan or Plan(origin="takeoff"), settings, thrust_curve=curve)
     return Lockstep(autopilot, flyer, leave_after, rotors).fly(limit, watch)
@@ -185,6 +191,8 @@ class Lockstep:
     """The loop of ticks between one autopilot and one flyer.
 
     autopilot, vehicle, flyer: of the flight, for those who watch it.
+    stall: s for which this computer misses all ticks from the next one on.
+    jitter: s by which the link may delay each message, in both directions, in order.
     """
 
     def __init__(
@@ -208,6 +216,13 @@ class Lockstep:
             self._rotor_reader = RotorReader(order, partial(rotor_speed, rotors=geometry))
         self._estimator_findings: dict[Event, str] = {}
         self._estimator_due = 0.0
+        self.stall = 0.0
+        self.jitter = 0.0
+        self._random = np.random.default_rng(0)
+        self._wire: deque[tuple[float, Odometry]] = deque()
+        self._arrival = self._setpoint_arrival = 0.0
+        self._echo = SetpointEcho()
+        self._reported = 0.0
         self._tick = 0
         self._due = autopilot.time
         self._in_air_since = float("inf")
@@ -235,10 +250,13 @@ class Lockstep:
 
     def _next_estimate(self) -> None:
         """Advance to the step in which PX4 sends the next estimate of a stream of the control rate."""
-        self._due += CONTROL_PERIOD
+        self._due += max(CONTROL_PERIOD, self.stall)
+        stalled, self.stall = self.stall, 0.0
         while self.autopilot.time < self._due - TOLERANCE:
             self.autopilot.step()
             self._note_arming()
+        if stalled:
+            self._due = self.autopilot.time
         if not self.autopilot.estimate_fault.stopped:
             self._receive()
 
@@ -249,9 +267,27 @@ class Lockstep:
         motion, taken = snapshot.motion, round(1000 * self.vehicle.estimate.time) / 1000
         wire = (*motion.position, *motion.attitude, *motion.velocity, *motion.rate)
         odometry = Odometry(taken, wire, LOCAL_NED, LOCAL_NED, snapshot.reset_counter)
-        check = self._monitor.handle_odometry(odometry, taken, now, True)
+        self._arrival = max(self._arrival, now + self._delay())
+        self._wire.append((self._arrival, odometry))
+        while self._wire and self._wire[0][0] <= now:
+            _, odometry = self._wire.popleft()
+            self._take(odometry, now)
+        self._report_setpoint(snapshot, now)
         self._report_estimator(snapshot, now)
         self._report_rotors(snapshot, now)
+
+    def _delay(self) -> float:
+        return float(self._random.uniform(0.0, self.jitter)) if self.jitter else 0.0
+
+    def _report_setpoint(self, snapshot: Snapshot, now: float) -> None:
+        """Take what the autopilot follows, as often as ATTITUDE_TARGET is requested."""
+        if now - self._reported >= REPORT_PERIOD:
+            self._reported = now
+            roll, pitch, yaw = snapshot.setpoint.rate
+            self._echo.report(SetpointReport(now, (roll, -pitch, -yaw), snapshot.setpoint.thrust))
+
+    def _take(self, odometry: Odometry, now: float) -> None:
+        check = self._monitor.handle_odometry(odometry, odometry.time, now, True)
         self._check = check if check.event or check.step is not None else self._check
         self._estimate = check.estimate or self._estimate
 
@@ -288,6 +324,9 @@ class Lockstep:
         name = (check.event or "") if check is not None else ""
         findings = {LINK_EVENTS[name]: check.text} if check is not None and name in LINK_EVENTS else {}
         findings |= self._estimator_findings
+        judged = commander.armed and commander.mode is Mode.OFFBOARD and self.flyer.engagement.flying
+        if other := self._echo.finding(now, judged=judged):
+            findings[Event.OTHER_CONTROLLER] = other
         if not commander.landed:
             self._in_air_since = min(self._in_air_since, now)
         leaves = self._leave_after is not None and now - self._in_air_since > self._leave_after
@@ -333,6 +372,7 @@ class Lockstep:
         flight.ground_force.append(self.vehicle.ground_force)
         flight.clearance.append(self.vehicle.clearance)
         flight.thrust.append(decision.collective_thrust if decision.rate_body is not None else 0.0)
+        flight.setpoints_sent.append(decision.rate_body is not None)
         flight.armed.append(self.autopilot.commander.armed)
         raised = [change for change in decision.event_changes if change.active]
         flight.events += [(change.time, change.event, change.detail) for change in raised]
@@ -345,7 +385,10 @@ class Lockstep:
             self._note_arming()
         if decision.rate_body is not None:
             setpoint = ControlSetpoint("rates", rate_body=decision.rate_body.copy(), thrust=decision.thrust)
-            autopilot.commander.offboard.feed(autopilot.time + LATENCY, setpoint)
+            self._setpoint_arrival = max(self._setpoint_arrival, autopilot.time + LATENCY + self._delay())
+            autopilot.commander.offboard.feed(self._setpoint_arrival, setpoint)
+            x, y, z = decision.rate_body.tolist()
+            self._echo.sent(round(1000 * autopilot.time) / 1000, (x, y, z), decision.thrust)
 
 
 def _state_of(motion: MotionState) -> Floats:

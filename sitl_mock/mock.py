@@ -15,6 +15,7 @@ import numpy as np
 
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
+from dynamics.rate_loop import autopilot_gains
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
@@ -53,6 +54,7 @@ class MockOptions:
 
     vehicle: the vehicle file.
     effects: hidden effects as on the command line, `name:key=value,...`.
+    tuned_for: the vehicle file whose gains the autopilot's rate loop has; None for those of the flown one.
     scenario: or its file.
     estimator: whose errors the estimate has; None for the scenario's or the one that suits the vehicle.
     start_height_error: of the estimate, m; None for the scenario's or one by chance.
@@ -69,6 +71,7 @@ class MockOptions:
     vehicle: Path
     effects: tuple[str, ...] = ()
     effect_files: tuple[Path, ...] = ()
+    tuned_for: Path | None = None
     scenario: Path | Scenario | None = None
     estimator: Estimator | None = None
     start_height_error: float | None = None
@@ -102,7 +105,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     catalogue = catalogue_of(vehicle)
     requested = tuple(parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
-    tuning = default_tuning(vehicle, hidden, catalogue)
+    tuning = default_tuning(_tuned(vehicle, options.tuned_for), hidden, catalogue)
     defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, **_geometry(vehicle)}
     simulated = SimulatedVehicle(
         vehicle,
@@ -125,6 +128,13 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         seed=options.seed,
     )
     return Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
+
+
+def _tuned(vehicle: Vehicle, other: Path | None) -> Vehicle:
+    """The vehicle with the gains of another file, if there is one."""
+    if other is None:
+        return vehicle
+    return msgspec.structs.replace(vehicle, autopilot=autopilot_gains(read_vehicle(other)))
 
 
 def usual_surroundings(vehicle: Vehicle) -> Surroundings:

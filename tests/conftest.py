@@ -1,8 +1,14 @@
 """What every test may use."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 from hypothesis import settings
 
+from dynamics import trust
+from dynamics.approvals import approve
+from dynamics.effect_source import read_effect_file
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from vehicles import FOLDER
@@ -23,6 +29,27 @@ LONG = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first, all else in its order."""
     items.sort(key=lambda item: not item.path.as_posix().endswith(LONG))
+
+
+OWN_EFFECTS = Path(__file__).parents[1] / "examples" / "my_effects.py"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def approvals_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A list of approved code of the tests' own, beginning with the documented example; the user's is left alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
+        approve([("effects", read_effect_file(OWN_EFFECTS).sha256, str(OWN_EFFECTS))])
+        yield
+
+
+@pytest.fixture
+def nothing_approved(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A user who has approved nothing yet, neither for good nor in this process. Returns the configuration folder."""
+    folder = tmp_path_factory.mktemp("config")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(folder))
+    monkeypatch.setattr(trust, "_approved", set())
+    return folder
 
 
 @pytest.fixture(scope="session")

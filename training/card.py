@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 
 from training.recipe import Recipe
@@ -62,3 +64,12 @@ class Card(msgspec.Struct, frozen=True):
     ranges: dict[str, tuple[float, float]] = {}
     versions: dict[str, str] = {}
     notes: tuple[str, ...] = ()
+
+    @property
+    def of_nominal(self) -> float:
+        """RMSE on all validation flights over that of the nominal model; NaN without any, above 1 where it is worse."""
+        own, nominal = (
+            sum(error.rows * combined**2 for error, combined in pairs)
+            for pairs in ([(e, e.combined) for e in self.errors], [(e, e.nominal) for e in self.errors])
+        )
+        return math.sqrt(own / nominal) if nominal > 0 else math.nan

@@ -10,7 +10,7 @@ The file is what `torch.save` makes of plain dictionaries and tensors, so that r
     reliability       disagreement, error_floor (6,), error_scale (6,), or none for a single member
     moments           of each member, (n + 1, n + 1) of its last layer's n inputs and 1 (`training.last_layer`); absent
                       in files of older versions, whose last layer cannot follow in flight
-    vehicle           TOML text
+    vehicle           TOML text, with the texts of effects of the user's own, which run only where he approved them
     card              JSON text
 
 Inputs are in SI units. Version 1 had rotor speeds in thousands of rpm; such a file is converted when it is read.
@@ -32,10 +32,12 @@ import torch
 from torch import Tensor, nn
 
 from dynamics.arrays import Floats
+from dynamics.effect_source import as_carried
 from dynamics.errors import RequestError
+from dynamics.trust import require_approved
 from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_vehicle
+from dynamics.vehicle_file import effect_files_in, parse_vehicle, with_texts
 from training.card import Card
 from training.config import ModelConfig
 from training.networks import build_network
@@ -161,7 +163,15 @@ def read_content(path: Path) -> dict[str, Any]:
         raise RequestError(
             f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {REPLACE_IT}"
         ) from error
-    except (RuntimeError, EOFError, ValueError, LookupError, TypeError, pickle.UnpicklingError) as error:
+    except (
+        RuntimeError,
+        EOFError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        pickle.UnpicklingError,
+    ) as error:
         # torch's message advises weights_only=False, which runs the file's code
         raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {REPLACE_IT}") from error
     if not isinstance(content, dict):
@@ -172,8 +182,8 @@ def read_content(path: Path) -> dict[str, Any]:
 def load(path: str | Path) -> TrainedModel:
     """A checkpoint, every member in evaluation mode.
 
-    Raises RequestError for a file that is missing, damaged, of another version, or whose weights have another shape
-    than that of its config.
+    Raises RequestError for a file that is missing, damaged, of another version, whose weights have another shape
+    than that of its config, or whose vehicle has effects that the user has not approved.
     """
     path = Path(path)
     content = read_content(path)
@@ -186,15 +196,26 @@ def load(path: str | Path) -> TrainedModel:
             f"{path} is a model of version {content.get('version')}, this alula reads up to {VERSION}: train it again, "
             "or read it with the alula that wrote it."
         )
+    if isinstance(text := content.get("vehicle"), str):
+        content["vehicle"] = _approved_vehicle_text(text, path)
     try:
         model = _model(content)
         return model if content["version"] == VERSION else _in_si(model)
-    except (KeyError, TypeError, AttributeError, ValueError, msgspec.MsgspecError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, RuntimeError, msgspec.MsgspecError) as error:
         raise RequestError(
             f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {REPLACE_IT}"
         ) from error
     except RequestError as error:
         raise RequestError(f"{path} is a damaged model: {error} {REPLACE_IT}") from error
+
+
+def _approved_vehicle_text(text: str, path: Path) -> str:
+    """A vehicle's text with the texts of its effect files, which are data. Raises RequestError where not approved."""
+    files = as_carried(effect_files_in(text))
+    if not files:
+        return text
+    require_approved(files, carrier=path)
+    return with_texts(text, files)
 
 
 def _model(content: dict[str, Any]) -> TrainedModel:

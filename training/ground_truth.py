@@ -19,10 +19,10 @@ from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from flights.flight import Flight
+from flights.folder import CAMPAIGN
 from training.data.features import body_accelerations
 from training.data.labelled_rows import LabelledRows
 from training.data.labels import mean_increment
-from training.data.logged_flights import CAMPAIGN
 
 FOLDER = "truth"  # of a campaign
 

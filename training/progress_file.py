@@ -58,7 +58,7 @@ def read_course(path: Path) -> Course:
             if line is not lines[0]:
                 report = msgspec.json.decode(line, type=Report)
                 reports[report.member, report.step] = report
-        except msgspec.MsgspecError:
+        except (msgspec.MsgspecError, UnicodeDecodeError):
             continue  # torn by a full disk or a killed process
     if beginning is None:
         raise RequestError(f"{path} is no course of a training. Give a model of `alula train`.")

@@ -153,7 +153,7 @@ def plan_of(options: TrainOptions) -> Plan:
     """Read vehicle and flights and make the plan of the training. Raises RequestError, DataError."""
     vehicle = _vehicle(options)
     config, recipe = settled(options)
-    logs = find_logs(options.logs)
+    logs = find_logs(options.logs, options.mapping)
     recordings = read_logged_flights(logs, dt=config.dt, mapping=options.mapping)
     split = split_flights(recordings, validation=options.validation, hold_out=options.hold_out)
     split = dataclasses.replace(split, notes=(*left_out(logs, recordings), *split.notes))

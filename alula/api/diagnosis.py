@@ -134,7 +134,9 @@ def compare_hover(
     with workbench("alula.compare_hover"):
         from diagnosis.hover_trim import read_trim
     loaded = vehicle_of(vehicle)
-    return read_trim(log_paths(logs), log_paths(normal), loaded, None if mapping is None else Path(mapping))
+    return read_trim(
+        log_paths(logs, mapping), log_paths(normal, mapping), loaded, None if mapping is None else Path(mapping)
+    )
 
 
 def add_effect(

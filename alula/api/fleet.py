@@ -7,6 +7,7 @@ from pathlib import Path
 
 from alula.api.results import FleetResult
 from alula.workbench import workbench
+from dynamics.trust import approve_given
 
 
 def diagnose_fleet(
@@ -48,6 +49,7 @@ def diagnose_fleet(
         from studies.fleet.run import FleetOptions, default_out, run_fleet
         from studies.fleet.summary import summarise
 
+    approve_given(effect_files)
     options = FleetOptions(
         folder=Path(folder),
         out=default_out(Path(folder)) if out is None else Path(out),

@@ -97,7 +97,7 @@ def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path
     """
     with workbench("alula.read_flights"):
         from diagnosis.data.dataset import read_flights as read
-    return tuple(read(log_paths(logs), mapping=mapping))
+    return tuple(read(log_paths(logs, mapping), mapping=mapping))
 
 
 def inspect(

@@ -10,6 +10,7 @@ from alula.api.planning import plan_flight
 from alula.api.reference_file import planned_reference
 from alula.api.signals import landing_on_signals
 from alula.workbench import workbench
+from dynamics.trust import approve_given
 
 if TYPE_CHECKING:
     from dynamics.vehicle import EffectUse, Vehicle
@@ -54,6 +55,7 @@ def simulate(
     from runtime.control.controller import Controller
     from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
 
+    approve_given(effect_files)
     folder = None if bundle is None else Path(bundle)
     flying = parse_vehicle(flown_vehicle_text(_path_or_vehicle(vehicle), folder, effect_files))
     learned = exported_bundle(folder)
@@ -81,7 +83,7 @@ def fly(
     *,
     vehicle: Vehicle | str | Path | None = None,
     bundle: str | Path | None = None,
-    link: str = "udpin:0.0.0.0:14540",
+    link: str = "udpin:127.0.0.1:14540",
     duration: float | None = None,
     height: float = 1.5,
     origin: Literal["takeoff", "estimate"] = "takeoff",
@@ -97,6 +99,7 @@ def fly(
     priority: int | None = None,
     processor: int | None = None,
     system: int | None = None,
+    roaming: bool = False,
     timeout: float | None = None,
     announce: Callable[[str], None] = print,
 ) -> FlightReport:
@@ -123,7 +126,8 @@ def fly(
     resume: take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
     processor: number of the processor that the control thread stays on.
-    system: the vehicle's system id; by default the first one on the link.
+    system: the vehicle's system id; by default that of the one vehicle on the link, and several are refused.
+    roaming: let the vehicle continue from another address after 2 s of silence, as behind a modem.
     timeout: longest wait for the vehicle, s, 10 by default; with arm=False also for the pilot to arm, who has no limit
         by default.
     announce: called with a line for every event.
@@ -140,6 +144,7 @@ def fly(
     from runtime.flight_setup import FlightSetup, prepare_flight
     from simulation.flight_check import read_check
 
+    approve_given(effect_files)
     if is_identification(reference):
         place = bundle if vehicle is None else vehicle
         planned = planned_reference(reference, place, effect_files=effect_files, duration=duration, folder=record)
@@ -165,6 +170,7 @@ def fly(
         priority=priority,
         processor=processor,
         system=system,
+        roaming=roaming,
         timeout=timeout,
     )
     flight = prepare_flight(setup)

@@ -24,36 +24,39 @@ def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
     Raises RequestError for a file that defines none.
     """
     from dynamics.effect_file import with_effects_of
+    from dynamics.effect_source import read_effect_file
     from dynamics.effects import CATALOGUE
+    from dynamics.trust import approve_given
     from dynamics.vehicle_file import read_vehicle
     from vehicles import FOLDER
 
     if not effects:
         return CATALOGUE
-    return with_effects_of(effects, read_vehicle(FOLDER / "arpl_250g.toml"))
+    approve_given(effects)
+    return with_effects_of(map(read_effect_file, effects), read_vehicle(FOLDER / "arpl_250g.toml"))
 
 
 def vehicle_of(vehicle: Vehicle | str | Path, effect_files: Sequence[str | Path] = ()) -> Vehicle:
-    """A vehicle as it is, or read from its file, with further effect files.
+    """A vehicle as it is, or read from its file, with further effect files, which are approved by being given.
 
-    Raises RequestError for a file that cannot be used.
+    Raises RequestError for a file that cannot be used, or effects that are not approved.
     """
-    from dynamics.vehicle_file import find_vehicle, parse_vehicle, read_vehicle, vehicle_toml, with_effect_files
+    from dynamics.trust import approve_given
+    from dynamics.vehicle_file import find_vehicle, read_vehicle, with_added_files
 
+    approve_given(effect_files)
     if isinstance(vehicle, (str, Path)):
         return read_vehicle(find_vehicle(vehicle), effect_files=effect_files)
-    if not effect_files:
-        return vehicle
-    return parse_vehicle(with_effect_files(vehicle_toml(vehicle), Path(), effect_files))
+    return with_added_files(vehicle, effect_files)
 
 
-def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
+def log_paths(logs: str | Path | Sequence[str | Path], mapping: str | Path | None = None) -> list[Path]:
     """Logs as they are; every log below a folder and every match of a pattern, in the order of their names.
 
-    A tlog beside a recording of the same name holds the same flight and is left out. Raises RequestError for a folder
-    or a pattern without logs.
+    A tlog beside a recording of the same name holds the same flight and is left out, and so are a folder's files that
+    are no logs. mapping: column mapping (TOML) of tables. Raises RequestError for a folder or a pattern without logs.
     """
-    return [path for log in ([logs] if isinstance(logs, (str, Path)) else logs) for path in _files(Path(log))]
+    return [p for log in ([logs] if isinstance(logs, (str, Path)) else logs) for p in _files(Path(log), mapping)]
 
 
 def dataset_of(
@@ -81,18 +84,29 @@ def dataset_of(
     if flights:
         flights = [replace(f, metadata=with_source(f.metadata, pose)) for f in flights]
         return make_dataset(flights, vehicle, hold_out=hold_out)
-    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping, pose=pose, progress=progress)
+    return read_dataset(
+        log_paths(paths, mapping), vehicle, hold_out=hold_out, mapping=mapping, pose=pose, progress=progress
+    )
 
 
-def _files(path: Path) -> Sequence[Path]:
+def _files(path: Path, mapping: str | Path | None) -> Sequence[Path]:
+    others: tuple[Path, ...] = ()
     if path.is_dir():
         with workbench("reading logs"):
-            from flights.reading import logs_below
-        logs = [log for log in logs_below(path) if not (log.suffix == ".tlog" and log.with_suffix(".mcap").exists())]
+            from flights.folder import folder_content
+        content = folder_content(path, mapping)
+        logs, others = list(content.logs), content.others
     elif any(letter in path.name for letter in "*?[") and not path.exists():
         logs = sorted(path.parent.glob(path.name))
     else:
         logs = [path]
     if not logs:
-        raise RequestError(f"{path}: no log there. Give logs, a folder of logs, or a pattern in quotes.")
+        what = f", but {len(others)} other files ({names_of(others)})" if others else ""
+        raise RequestError(f"{path}: no log there{what}. Give logs, a folder of logs, or a pattern in quotes.")
     return logs
+
+
+def names_of(paths: Sequence[Path], shown: int = 6) -> str:
+    """The names of some files, the first ones of many."""
+    more = f", and {len(paths) - shown} more" if len(paths) > shown else ""
+    return ", ".join(path.name for path in paths[:shown]) + more

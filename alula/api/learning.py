@@ -12,6 +12,7 @@ from alula.api.inputs import log_paths
 from alula.api.results import EvaluationResult, ExportResult, TrainingResult
 from alula.workbench import workbench
 from dynamics.command import command_line
+from dynamics.trust import approve_given
 
 if TYPE_CHECKING:
     from runtime.control.bundle import Integrator
@@ -76,6 +77,7 @@ def train(
     """
     with workbench("alula.train"):
         from training.run import TrainOptions, run
+    approve_given(effect_files)
     options = TrainOptions(
         logs=_paths(logs),
         vehicle=str(vehicle),
@@ -130,6 +132,7 @@ def evaluate(
     """
     with workbench("alula.evaluate"):
         from studies.evaluation.run import EvaluationAnswer, run
+    approve_given(effect_files)
     results = run(
         (*_paths(models), *_paths(logs)),
         None if vehicle is None else str(vehicle),
@@ -188,6 +191,7 @@ def export(
         from runtime.control.rti.problem import Problem
         from runtime.control.rti.processor import named_processor
         from simulation.flight_check import check_bundle
+    approve_given(effect_files)
     path = Path(model) if Path(model).suffix == ".pt" else find_vehicle(model)
     trained = read_model(path, member=member, integrator=integrator, effect_files=effect_files)
     problem = Problem.from_settings(trained.vehicle.controller)
@@ -204,7 +208,8 @@ def export(
     exported = export_bundle(trained, Path(out), options)
     flown = flight_check and options.processor.runs_here
     check = check_bundle(exported.folder, exported.manifest) if flown else None
-    return ExportResult(exported.folder, exported.manifest, exported.parity, check)
+    of_nominal = None if trained.trained is None else trained.trained.card.of_nominal
+    return ExportResult(exported.folder, exported.manifest, exported.parity, check, of_nominal)
 
 
 def _paths(paths: str | Path | Sequence[str | Path]) -> tuple[Path, ...]:

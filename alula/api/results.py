@@ -327,6 +327,13 @@ class EvaluationResult:
 
         return summary_lines(self.report.evaluated)
 
+    @property
+    def of_nominal(self) -> Sequence[float]:
+        """RMSE of each model over that of the nominal model, in the order in which they were given."""
+        from studies.evaluation.tables import ratios_to_nominal
+
+        return ratios_to_nominal(self.report.evaluated)
+
     def write_json(self, path: str | Path) -> None:
         """Write every figure as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
         write_json(self.report, Path(path))
@@ -358,17 +365,23 @@ class ExportResult:
     manifest: what it is made of and how it was made.
     parity: how closely PyTorch, ONNX, CasADi, C and the kernel agree.
     flight_check: a few simulated seconds with it; None for physics, or where it was not requested.
+    of_nominal: RMSE of a learned model on its validation flights over that of the nominal model; None for physics.
     """
 
     folder: Path
     manifest: Manifest
     parity: Parity
     flight_check: FlightCheck | None
+    of_nominal: float | None = None
 
     @property
     def report(self) -> dict[str, Any]:
         """Comparisons and flight check, as `alula export --json` prints them."""
-        return {**msgspec.to_builtins(self.parity), "flight_check": self.flight_check and self.flight_check.as_json}
+        return {
+            **msgspec.to_builtins(self.parity),
+            "flight_check": self.flight_check and self.flight_check.as_json,
+            "of_nominal": self.of_nominal,
+        }
 
     @property
     def summary(self) -> Sequence[str]:

@@ -90,7 +90,7 @@ def vehicle_from_logs(
     with workbench("alula.vehicle_from_logs"):
         from diagnosis.vehicle_from_logs import vehicle_from_logs as from_logs
     return from_logs(
-        log_paths(logs),
+        log_paths(logs, mapping),
         name=name,
         mass=mass,
         arm=arm,
@@ -127,4 +127,4 @@ def check_vehicle(
     from dynamics.own_effects import catalogue_of
 
     loaded = vehicle_of(vehicle, effect_files)
-    return check(log_paths(logs), loaded, catalogue_of(loaded), mapping=mapping)
+    return check(log_paths(logs, mapping), loaded, catalogue_of(loaded), mapping=mapping)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, HoldOut, Mapping, Pose, VehicleOption
 from alula.cli.output import print_next
 from alula.cli.progress import stage_bar
@@ -35,7 +36,7 @@ ARGUMENTS_HELP = (
 
 def add(
     arguments: Annotated[list[str], typer.Argument(help=ARGUMENTS_HELP, metavar="[EFFECT] LOG...")],
-    vehicle: VehicleOption,
+    vehicle: VehicleOption = None,
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
@@ -54,6 +55,7 @@ def add(
 ) -> None:
     """Fit an effect, or all that are missing, and write the next vehicle file, if held-out flights bear it out."""
     effect, logs = _effect_and_logs(arguments)
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     if from_flight:
         _refuse_from_flight({"--hold-out": hold_out, "--mapping": mapping, "--rotor": rotor})
         _add_from_flight(effect, logs, vehicle, effects, pose, out, json)

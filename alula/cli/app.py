@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import signal
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -19,8 +20,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from alula import __version__
+from alula.cli.escaping import printable
 from alula.cli.output import split_output, terminal_width
 from dynamics.errors import AlulaError, RequestError
+from dynamics.workbench_install import workbench_install
 
 INTERRUPTED = 130  # exit code after Ctrl-C
 SUMMARY = "Identifies what a quadrotor's dynamics model is missing, and flies the better model."
@@ -53,6 +56,7 @@ COMMANDS = (
     "sweep",
     "export",
     "effects",
+    "trust",
 )
 
 
@@ -131,6 +135,12 @@ def _options(
     """Identifies what a quadrotor's dynamics model is missing, and flies the better model."""
 
 
+def _hear_interrupts() -> None:
+    """Let SIGINT end a command that was started in the background, too: a shell's `&` starts it with SIGINT ignored."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Run the command line; an error that a user can cause ends with its message and exit code, not a traceback."""
     words, output = split_output(sys.argv[1:])
@@ -140,10 +150,11 @@ def main() -> None:
     except OSError as error:
         print(f"alula: cannot write the log file {output.log_file!r}: {error.strerror or error}.", file=sys.stderr)
         sys.exit(RequestError.exit_code)
+    _hear_interrupts()
     try:
         app()
     except AlulaError as error:
-        print(f"alula: {error}", file=sys.stderr)
+        print(printable(f"alula: {error}"), file=sys.stderr)
         output.finish(error.exit_code, error)
         sys.exit(error.exit_code)
     except SystemExit as end:
@@ -152,7 +163,7 @@ def main() -> None:
         output.finish(end.code)
         raise
     except ModuleNotFoundError as error:
-        advice = "Commands of the workbench need it: pip install 'alula[workbench]'."
+        advice = f"Commands of the workbench need it: {workbench_install()}."
         print(f"alula: {error.name} is not installed. {advice}", file=sys.stderr)
         output.finish(RequestError.exit_code, error)
         sys.exit(RequestError.exit_code)

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, VehicleOption
 from alula.cli.output import options, print_next, print_written
 from alula.cli.progress import stage_bar
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 def compare(
     logs: Logs,
-    vehicle: VehicleOption,
+    vehicle: VehicleOption = None,
     trial: Annotated[
         str | None,
         typer.Option(
@@ -39,6 +40,7 @@ def compare(
     figures: Figures = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     with stage_bar() as progress:
         result = alula.compare(
             logs, vehicle, trial=trial, effect_files=effects or (), mapping=mapping, pose=pose, progress=progress

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from alula.cli.console import Console
 from alula.cli.output import print_next
 from alula.workbench import require_casadi
 from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.workbench_install import workbench_install
 from studies.demo import report as demo_report
 from studies.demo.flights import DemoOptions
 from studies.demo.result import DemoReport
@@ -125,7 +126,8 @@ def _print(report: DemoReport, console: Console) -> None:
         console.print(line, highlight=False, markup=False)
     console.print("written: " + ", ".join(report.files), highlight=False)
     if not any(path.endswith(".png") for path in report.files):
-        console.print("no picture was drawn: it needs matplotlib, which comes with alula\\[workbench]")
+        text = f"no picture was drawn: it needs matplotlib: {workbench_install()}."
+        console.print(text, highlight=False, markup=False)
 
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.fleet import FLEET, diagnose_fleet
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose
 from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
@@ -95,9 +96,9 @@ def diagnose(
         diagnose_fleet(fleet, vehicle, effects, mapping, pose, json, html, out, workers, scheduler)
         return
     _refuse_without_fleet({"--out": out, "--workers": workers, "--scheduler": scheduler})
-    if not logs or vehicle is None:
-        missing = "logs: alula diagnose LOG... --vehicle V.toml, or a folder with --fleet" if not logs else "--vehicle"
-        raise RequestError(f"a diagnosis needs {missing}. Give it.")
+    if not logs:
+        raise RequestError("a diagnosis needs logs: alula diagnose LOG... --vehicle V.toml, or a folder with --fleet.")
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.options import Effects
 from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT, write_json

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import note_skipped
 from alula.cli.options import Effects
 from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT
@@ -39,6 +41,7 @@ def evaluate(
     """Evaluate models on held-out flights; with a campaign's flights against ground truth, too."""
     models = [path for path in arguments if path.suffix == ".pt"]
     logs = [path for path in arguments if path.suffix != ".pt"]
+    note_skipped(logs, mapping)
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     with console.status("reading the flights") as status:
         result = alula.evaluate(
@@ -68,11 +71,19 @@ def evaluate(
     for path in written:
         console.print(f"written: {path}", highlight=False)
     if json_file != STANDARD_OUTPUT:
-        print_next(*_following(models, logs, vehicle))
+        print_next(*_following(models, logs, vehicle, result.of_nominal))
 
 
-def _following(models: list[Path], logs: list[Path], vehicle: str | None) -> list[object]:
-    """What to run next: export the first model, or train one."""
+def _following(
+    models: Sequence[Path], logs: Sequence[Path], vehicle: str | None, of_nominal: Sequence[float]
+) -> list[object]:
+    """What to run next: export the first model that errs less than the nominal one, or train one.
+
+    of_nominal: RMSE of each model over that of the nominal model.
+    """
+    better = [path for path, ratio in zip(models, of_nominal, strict=True) if ratio < 1]
+    if better:
+        return ["export", better[0], "--out", better[0].with_suffix("")]
     if models:
-        return ["export", models[0], "--out", models[0].with_suffix("")]
+        return ["train", "--help"]
     return ["train", *logs, "--vehicle", vehicle, "--model", "pi_tcn", "--out", "pi_tcn.pt"]

@@ -85,7 +85,13 @@ def export(
     print("\n".join(result.summary))
     if (check := result.flight_check) is not None:
         print(f"warning: {check.warning}" if check.warning else f"flight check: {check.text}")
-    if named_processor(processor).runs_here:
+    if result.of_nominal is not None and result.of_nominal >= 1:
+        print(
+            f"warning: not to be flown: on its validation flights the model errs {result.of_nominal:.3g} times as much "
+            "as the nominal one"
+        )
+        print_next("train", "--help")
+    elif named_processor(processor).runs_here:
         _print_flight(out)
     else:
         print_next("export", "--verify", out)

@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
 from alula.cli.output import options, print_next
 from alula.cli.progress import counting_bar
 from dynamics.errors import DataError

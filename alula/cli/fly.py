@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
 from alula.api.reference_file import planned_reference
-from alula.cli.options import LINK, Effects, LinkOption, System
+from alula.cli.console import Console
+from alula.cli.options import LINK, Effects, LinkOption, Roaming, System
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError, VehicleError
@@ -89,6 +89,7 @@ def fly(
     ] = True,
     processor: Annotated[int | None, typer.Option(min=0, help="Processor to keep the control thread on.")] = None,
     system: System = None,
+    roaming: Roaming = False,
     timeout: Annotated[
         float | None,
         typer.Option(
@@ -134,6 +135,7 @@ def fly(
         resume=resume,
         processor=processor,
         system=system,
+        roaming=roaming,
         priority=REALTIME_PRIORITY if realtime else None,
         timeout=timeout,
         announce=partial(_announce, console),

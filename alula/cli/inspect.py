@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 import alula
 from alula.api.inputs import log_paths
+from alula.cli.console import Console
+from alula.cli.escaping import printable
+from alula.cli.intake import note_skipped
 from alula.cli.options import Effects, Mapping, Pose
 from alula.cli.output import print_next
 from dynamics.errors import AlulaError, DataError
@@ -63,7 +65,8 @@ def inspect(
     inspections: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
-    paths = log_paths(log)
+    note_skipped(log, mapping)
+    paths = log_paths(log, mapping)
     for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping, pose=pose)
@@ -102,7 +105,7 @@ def _section(inspection: Inspection, streams: Log) -> Section:
 def _end(inspections: list[Inspection], refused: list[AlulaError]) -> None:
     """Raise the error of the worst log, if there is one."""
     for error in refused:
-        print(f"alula: {error}", file=sys.stderr)
+        print(printable(f"alula: {error}"), file=sys.stderr)
     if refused:
         raise type(refused[0])(f"{len(refused)} of {len(inspections) + len(refused)} logs could not be read.")
     unusable = [inspection for inspection in inspections if inspection.verdict == "unusable"]

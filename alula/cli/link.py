@@ -9,9 +9,9 @@ from typing import Annotated
 import msgspec
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
+from alula.cli.console import Console
 from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
 from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError

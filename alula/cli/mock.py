@@ -31,6 +31,13 @@ def mock(
         typer.Option(help="Effect that the vehicle file does not contain: name:key=value,... Repeatable."),
     ] = None,
     effects: Effects = None,
+    tuned_for: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file (or bundled name) that the autopilot's rate gains suit, where it was not tuned again "
+            "for the flown one: an autopilot keeps its gains when a model is corrected."
+        ),
+    ] = None,
     scenario: Annotated[Path | None, typer.Option(help="Scenario file (TOML): sensors, battery, timed faults.")] = None,
     link: Annotated[
         list[str] | None,
@@ -96,6 +103,7 @@ def mock(
         vehicle=find_vehicle(vehicle),
         effects=tuple(effect or ()),
         effect_files=tuple(effects or ()),
+        tuned_for=None if tuned_for is None else find_vehicle(tuned_for),
         scenario=scenario,
         estimator=estimator,
         start_height_error=start_height_error,

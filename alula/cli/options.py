@@ -10,7 +10,14 @@ import typer
 Logs = Annotated[
     list[Path], typer.Argument(help="Logs of one vehicle in any format, or folders of them.", metavar="LOG...")
 ]
-VehicleOption = Annotated[str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a bundled one.")]
+VehicleOption = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle",
+        help="Vehicle file (TOML), or the name of a bundled one; by default the one in the folder of the logs.",
+        show_default=False,
+    ),
+]
 HoldOut = Annotated[
     str | None,
     typer.Option(
@@ -18,9 +25,23 @@ HoldOut = Annotated[
         "these do not fly as the others do."
     ),
 ]
+
+
+def _approved(paths: list[Path] | None) -> list[Path] | None:
+    """Files that the user names for this call, and by that approves for it."""
+    from dynamics.trust import approve_given
+
+    approve_given(paths)
+    return paths
+
+
 Effects = Annotated[
     list[Path] | None,
-    typer.Option("--effects", help="Python file with effects of your own, beside the vehicle file's; repeatable."),
+    typer.Option(
+        "--effects",
+        callback=_approved,
+        help="Python file with effects of your own, beside the vehicle file's; runs in this call; repeatable.",
+    ),
 ]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Figures = Annotated[
@@ -34,11 +55,22 @@ Pose = Annotated[
 ]
 
 # Of a link to a vehicle.
-LINK = "udpin:0.0.0.0:14540"
+LINK = "udpin:127.0.0.1:14540"
 LinkOption = Annotated[
-    str, typer.Option("--link", help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")
+    str,
+    typer.Option(
+        "--link",
+        help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:. 127.0.0.1 hears this machine alone, "
+        "0.0.0.0 the whole network.",
+    ),
 ]
 System = Annotated[
-    int | None, typer.Option(min=1, max=255, help="System id of the vehicle; by default the first one on the link.")
+    int | None, typer.Option(min=1, max=255, help="System id of the vehicle; needed where several are on the link.")
+]
+Roaming = Annotated[
+    bool,
+    typer.Option(
+        "--roaming", help="Let the vehicle continue from another address after 2 s of silence, as behind a modem."
+    ),
 ]
 Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")]

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
+from alula.cli.escaping import Escaping
+
 SWITCHES = {"-v": "verbose", "--verbose": "verbose", "-q": "quiet", "--quiet": "quiet"}
 LOG_FILE = "--log-file"
 
@@ -51,6 +53,9 @@ class Output:
         if self._log is not None:
             stderr: Any = Printed(sys.stderr, self._log)
             self._stack.enter_context(contextlib.redirect_stderr(stderr))
+        escaped: Any = Escaping(sys.stdout), Escaping(sys.stderr)
+        self._stack.enter_context(contextlib.redirect_stdout(escaped[0]))
+        self._stack.enter_context(contextlib.redirect_stderr(escaped[1]))
 
     def finish(self, code: object, error: BaseException | None = None) -> None:
         """Print what belongs to the end, and give the streams back."""

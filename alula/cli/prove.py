@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, HoldOut, Logs, Mapping, Pose, VehicleOption
 from alula.cli.output import options, print_next
 from alula.cli.progress import stage_bar
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 
 def prove(
     logs: Logs,
-    vehicle: VehicleOption,
     before: Annotated[str, typer.Option(help="The version to compare with, as --vehicle.")],
+    vehicle: VehicleOption = None,
     fly: Annotated[
         str | None,
         typer.Option(
@@ -38,6 +39,7 @@ def prove(
     json: Annotated[Path | None, typer.Option(help="Write the errors as JSON; - for standard output.")] = None,
 ) -> None:
     """Compare two versions of a vehicle file on held-out flights: errors one step ahead and in open loop."""
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     with stage_bar() as progress:
         result = alula.prove(
             logs,

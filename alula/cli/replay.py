@@ -14,7 +14,7 @@ from alula.workbench import workbench
 from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
-from runtime.record.recording import newest_recording, read_recording
+from runtime.record.recording import damage_named, newest_recording, read_recording
 from runtime.replay import ReplayReport
 from runtime.replay import replay as replay_recording
 
@@ -47,7 +47,8 @@ def replay(
         print(f"{newest}, the newest in {recording}")
     recording = newest
     read = read_recording(recording)
-    report = replay_recording(read, *recorded_flight(read, vehicle, bundle, effects or ()))
+    with damage_named(recording):
+        report = replay_recording(read, *recorded_flight(read, vehicle, bundle, effects or ()))
     if as_json:
         write_json(report, STANDARD_OUTPUT)
     else:

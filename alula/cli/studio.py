@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from alula.api.inputs import log_paths
+from alula.cli.console import Console
+from alula.cli.intake import note_skipped, vehicle_beside
 from alula.cli.options import Effects, HoldOut, Mapping, Pose
 from alula.cli.output import print_next
 from alula.workbench import workbench
@@ -58,6 +59,8 @@ def studio(
     room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
     try:
         results = [room.open_result(path) for path in result or []]
+        vehicle = vehicle or vehicle_beside(logs or [])
+        note_skipped(logs or [], mapping, vehicle)
         place = _case(room, logs or [], vehicle, case, hold_out, effects or [], mapping, pose)
         place = f"result/{results[0]}" if results and not place else place
         server, address = serve(room, port=port)
@@ -104,7 +107,7 @@ def _case(
         if vehicle:
             raise RequestError("a vehicle without a log. Give logs too, or choose the vehicle on the page.")
         return ""
-    files = log_paths(logs) if logs else []
+    files = log_paths(logs, mapping) if logs else []
     name = room.create(case, name=case.name if case else files[0].name.partition(".")[0])
     opened = room.case(name)
     if opened is None:

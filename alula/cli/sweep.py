@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from alula.cli.console import Console
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.cli.output import print_next
 from alula.cli.progress import counting_bar
@@ -32,8 +33,8 @@ def sweep(
     logs: Annotated[
         list[Path], typer.Argument(help="Training logs, folders of them, or a campaign's folder.", metavar="LOG...")
     ],
-    vehicle: VehicleOption,
     out: Annotated[Path, typer.Option(help="Folder with a file each cell; a sweep that was stopped continues there.")],
+    vehicle: VehicleOption = None,
     test: Annotated[
         list[Path] | None, typer.Option(help="Held-out logs or folders; a campaign's test flights by default.")
     ] = None,
@@ -92,6 +93,7 @@ def sweep(
     with workbench("alula sweep"):
         from studies.sweep.report import require_all_trained, show
         from studies.sweep.run import SweepOptions, make_sweep
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     options = SweepOptions(
         study=study,
         logs=tuple(logs),

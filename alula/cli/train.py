@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.cli.output import print_next
 from dynamics.errors import RequestError
@@ -38,9 +39,9 @@ FLIGHTS, MODEL, RECIPE, RUN = "Flights", "Model, instead of its own definition",
 
 def train(
     logs: Logs,
-    vehicle: VehicleOption,
     model: Annotated[str, typer.Option(help=f"What to train: {', '.join(KINDS)}.")],
     out: Annotated[Path, typer.Option(help="Checkpoint to write (.pt); its card lies beside it (.json).")],
+    vehicle: VehicleOption = None,
     recipe: Annotated[
         str, typer.Option(help=f"How to train: {' or '.join(RECIPES)}; paper is PI-TCN to the letter, 10,000 epochs.")
     ] = "fast",
@@ -165,6 +166,7 @@ def train(
     ] = False,
 ) -> None:
     """Train a model of a vehicle's accelerations from its flights, and report its errors on validation flights."""
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     console = Console(stderr=as_json, quiet=os.environ.get("RANK", "0") != "0")
     with _bars(out, console, tensorboard) as bars:
         result = alula.train(
@@ -206,7 +208,21 @@ def train(
         write_json(result.report, STANDARD_OUTPUT)
     else:
         _print(result.model, out, console)
+        _print_advice(result.report.of_nominal, logs, vehicle, out, console)
+
+
+def _print_advice(of_nominal: float, logs: Sequence[Path], vehicle: str, out: Path, console: Console) -> None:
+    """The next command: a bundle of a model that is better than the nominal one, else what is missing from that."""
+    if not of_nominal >= 1:
         print_next("export", out, "--out", out.with_suffix(""))
+        return
+    console.print(
+        f"not to be flown: on the validation flights it errs {of_nominal:.3g} times as much as the nominal model. More "
+        "steps (--steps), more and faster flights, or physics first (--model grey_box --effect diagnosed); the effects "
+        "that a diagnosis names fly without a network",
+        highlight=False,
+    )
+    print_next("diagnose", *logs, "--vehicle", vehicle)
 
 
 @contextmanager

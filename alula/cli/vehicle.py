@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.console import Console
+from alula.cli.intake import note_skipped, vehicle_of_logs
 from alula.cli.options import Effects, Logs, VehicleOption
 from alula.cli.options import Mapping as MappingOption
 from alula.cli.output import command, options, print_next
@@ -98,6 +99,7 @@ def from_log(
 
     Without --mass nothing is written: flights cannot show it, and everything else scales with it.
     """
+    note_skipped(logs, mapping)
     made = alula.vehicle_from_logs(
         logs,
         name,
@@ -118,9 +120,10 @@ def from_log(
 
 @commands.command()
 def check(
-    logs: Logs, vehicle: VehicleOption, effects: Effects = None, mapping: MappingOption = None, json: Json = None
+    logs: Logs, vehicle: VehicleOption = None, effects: Effects = None, mapping: MappingOption = None, json: Json = None
 ) -> None:
     """Compare a vehicle file with logs: layout, thrust, inertia, motor lag; what disagrees, and by how much."""
+    vehicle = vehicle_of_logs(logs, vehicle, mapping)
     answer = alula.check_vehicle(logs, vehicle, effect_files=effects or (), mapping=mapping)
     if json is not None:
         write_json(answer, json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,22 +107,29 @@ def align_logs(streams: Sequence[Log], thresholds: SegmentThresholds = DEFAULT.s
     if not rates:
         names = ", ".join(flight.provenance.path for flight in flights[:3])
         raise DataError(f"{names}: one row is no flight. Fly at least 20 s in the air without gaps.")
-    rate = round(min(rates), 3)
-    same = [abs(flight.rate - rate) < 0.01 * rate or not flight.rate for flight in flights]
+    rate = min(rates)
     return [
-        flight if good else Flight.from_log(log, rate=rate)
-        for log, flight, good in zip(streams, flights, same, strict=True)
+        flight if flight.has_rate(rate) else Flight.from_log(log, rate=rate)
+        for log, flight in zip(streams, flights, strict=True)
     ]
+
+
+def _at_one_rate(flights: Sequence[Flight]) -> list[Flight]:
+    """Flights at the rate of the slowest: windows are counted in rows, of which all must last as long."""
+    rate = min((flight.rate for flight in flights if flight.rate > 0), default=0.0)
+    return [flight if flight.has_rate(rate) else flight.at_rate(rate) for flight in flights]
 
 
 def make_dataset(
     flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None, thresholds: Thresholds = DEFAULT
 ) -> Dataset:
-    """The data set of flights at one rate. Raises as `read_dataset`."""
-    distinct, notes = _distinct(flights)
+    """The data set of flights, at the rate of the slowest. Raises as `read_dataset`."""
+    distinct, notes = _distinct(_at_one_rate(flights))
     flights, findings = inspected(distinct, vehicle, thresholds)
     notes += doubt_note(distinct, flights, findings)
     flown = [(flight, parts) for flight in flights if (parts := segments(flight, vehicle, thresholds))]
+    rate = flown[0][1][0].rate if flown else 0.0  # each has its own rounding
+    flown = [(flight, tuple(replace(segment, rate=rate) for segment in parts)) for flight, parts in flown]
     notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration, findings)
     notes += [finding.text for finding in findings if finding.name in NOTED]
     _require_one_source([parts for _, parts in flown])

@@ -8,10 +8,9 @@ that remain hold.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -29,8 +28,6 @@ from diagnosis.selection.rivals import look_alikes, resample_share, rivals_of
 from diagnosis.selection.search import Search
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
-
-Place = TypeVar("Place", bound=Hashable)  # of an error: a kind of channel, or horizon and quantity of the open loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,13 +328,12 @@ class _Trial:
         joint = self._worse_together(best, self._held_out.open_loop_changes)
         if joint is None:
             return []
-        (horizon, quantity), culprit = joint.place, joint.culprit
-        numbers = {"horizon": horizon, "before": joint.change.before, "after": joint.change.after}
-        return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
+        numbers = {"before": joint.change.before, "after": joint.change.after, "motion": joint.change.motion}
+        return [(joint.culprit, refused_of(best, joint.culprit, "open_loop_worse", joint.place, **numbers))]
 
     def _worse_together(
-        self, best: Fit, compare: Callable[[Vehicle, Vehicle], Mapping[Place, ErrorChange]]
-    ) -> _Joint[Place] | None:
+        self, best: Fit, compare: Callable[[Vehicle, Vehicle], Mapping[str, ErrorChange]]
+    ) -> _Joint | None:
         """The error that all effects together make worse by most, None without any. compare: by place of the error."""
         moving = [c for c in best.candidates if c.effect.moves_vehicle]
         before = with_faults_of(best, self._vehicle)
@@ -357,13 +353,14 @@ class _Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class _Joint(Generic[Place]):
+class _Joint:
     """An error that effects make worse together.
 
-    place: of the error. change: of it. moving: the effects. culprit: the one without which it is least.
+    place: of the error, a kind of channel or a quantity of the open loop. change: of it. moving: the effects.
+    culprit: the one without which it is least.
     """
 
-    place: Place
+    place: str
     change: ErrorChange
     moving: Sequence[Candidate]
     culprit: Candidate

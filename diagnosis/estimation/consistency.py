@@ -26,7 +26,8 @@ from dynamics.arrays import Floats
 class Drift:
     """Difference of an effect's values between two parts of the flights.
 
-    share: RMS of the whitened signal of the difference over that of the effect, both on all rows.
+    share: RMS of the whitened signal of the difference, beyond what other effects take up, over that of the effect, all
+        of it: between two that resemble each other a small error of their form moves the values by much. On all rows.
     deviations: standard deviations of the difference from none.
     over_noise: RMS of that signal over the noise, as of one channel, in the half of the flights where it is less; 0 of
         other parts, of which one may hardly move as the other does.
@@ -63,15 +64,18 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
     grams, products = np.array([b.gram for b in blocks]), np.array([b.product for b in blocks])
     early, limits = np.array([b.early for b in blocks]), regression.thresholds.consistency
     flight, count = np.array([b.flight for b in blocks]), regression.total / len(regression.noise.active)
-    results, begin = {}, 0
+    results, begin, of_commands = {}, 0, list(range(len(where) - len(commands), len(where)))
     for candidate in fitted.candidates:
         own = list(range(begin, begin + len(candidate.columns)))
         begin += len(own)
         theta = coefficients(fitted, candidate)
         power = np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta)
         strong = _strongest_half(power), _strongest_half(np.bincount(flight, power).astype(float))[flight]
-        unlike = [replace(_drift(grams, products, prior, own, theta, part, count), over_noise=0.0) for part in strong]
-        parts = [*unlike, _drift(grams, products, prior, own, theta, early, count)]
+        alone = [*own, *of_commands]
+        unlike = [
+            replace(_drift(grams, products, prior, own, alone, theta, part, count), over_noise=0.0) for part in strong
+        ]
+        parts = [*unlike, _drift(grams, products, prior, own, alone, theta, early, count)]
         results[candidate.key] = max(parts, key=lambda one: (one.refutes(limits), one.matters(limits), one.share))
     return results
 
@@ -124,20 +128,23 @@ def _drift(
     products: Floats,
     prior: Floats,
     own: Sequence[int],
+    alone: Sequence[int],
     theta: Floats,
     part: NDArray[np.bool_],
     count: float,
 ) -> Drift:
     """The difference of one effect between a part of the blocks and the rest.
 
-    grams, products: (b, k, k) and (b, k) of blocks. own: its columns, at theta. part: (b,). count: rows of a channel.
+    grams, products: (b, k, k) and (b, k) of blocks. own: its columns, at theta. alone: these and those of commands.
+    part: (b,). count: rows of a channel.
     """
     if part.all() or not part.any():
         return Drift(0.0, 0.0)
     (one, one_spread), (other, other_spread) = (_solution(grams[some], products[some], prior) for some in (part, ~part))
     difference = (one - other)[own]
-    signal = _beyond(grams.sum(axis=0) + prior, own)
-    size = float(theta @ signal @ theta)
+    everything = grams.sum(axis=0) + prior
+    signal = _beyond(everything, own)
+    size = float(theta @ _beyond(everything[np.ix_(alone, alone)], range(len(own))) @ theta)
     apart = max(float(difference @ signal @ difference), 0.0)
     deviations = deviations_of(difference, (one_spread + other_spread)[np.ix_(own, own)])
     shown = min(

@@ -87,17 +87,20 @@ def neutral_values(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> dict[
     return {i: neutral[names[i]] for i in fitted.of(candidate) if names[i] in linear and names[i] in neutral}
 
 
-def left_out(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[dict[tuple[str, str], float], Vehicle]:
+def left_out(
+    fitted: Fit, candidate: Candidate, vehicle: Vehicle, *, held: Sequence[Candidate] = ()
+) -> tuple[dict[tuple[str, str], float], Vehicle]:
     """A fit without one of its candidates: values of the other parameters, by the linearised equations, and vehicle.
 
-    vehicle: that the candidates were added to.
+    vehicle: that the candidates were added to. held: those of the others that keep their values.
     """
     keys, own = list(fitted.values), fitted.of(candidate)
     values = np.array(list(fitted.values.values()))
     change = np.zeros(len(own))
     for i, value in neutral_values(fitted, candidate, vehicle).items():
         change[own.index(i)] = value - values[i]
-    rest = [i for i in range(len(keys)) if i not in own]
+    constant = {one.key for one in held}
+    rest = [i for i in range(len(keys)) if i not in own and keys[i][0] not in constant]
     others = [c for c in (*fitted.candidates, *fitted.nuisances) if c is not candidate]
     if rest:
         scale = np.sqrt(np.maximum(np.abs(np.diag(fitted.information)[rest]), 1e-300))
@@ -105,7 +108,7 @@ def left_out(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[dict[
         across = fitted.information[np.ix_(rest, own)] / scale[:, None]
         values[rest] -= np.linalg.pinv(inner, rcond=1e-10) @ across @ change / scale
     limits = {(c.key, p.name): (p.lower, p.upper) for c in others for p in c.effect.parameters}
-    moved = {keys[i]: float(np.clip(values[i], *limits[keys[i]])) for i in rest}
+    moved = {keys[i]: float(np.clip(values[i], *limits[keys[i]])) for i in range(len(keys)) if i not in own}
     return moved, with_candidates(vehicle, others, {f"{key}.{name}": v for (key, name), v in moved.items()})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Generic, TypeVar
@@ -16,13 +17,15 @@ from diagnosis.estimation.paired_errors import (
     channel_changes,
     differences,
     open_loop_changes,
+    open_loop_total,
 )
-from diagnosis.models.open_loop import open_loop_windows
+from diagnosis.models.open_loop import motion_over_horizons, open_loop_windows
 from diagnosis.models.pose_errors import with_velocity_errors
 from diagnosis.selection.regression import Regression
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
+OPEN_LOOP = "open-loop"
 SEED = 2  # of the errors of velocity, the same for all vehicles
 Made = TypeVar("Made")
 
@@ -70,17 +73,13 @@ class HeldOut:
         """(12,) noise floor: of the residuals after all columns of the catalogue, or of the vehicle where lower."""
         return np.minimum(self._saturated_floor, residual_floor(self._regression, self.rows(vehicle)))
 
-    def channel_changes(
-        self, before: Vehicle, after: Vehicle, floor: Floats, *, measured: bool = False
-    ) -> dict[str, ErrorChange]:
-        """By kind of channel. floor: (12,) with which the changes are compared. measured: with the pose's errors.
+    def channel_changes(self, before: Vehicle, after: Vehicle, floor: Floats) -> dict[str, ErrorChange]:
+        """By kind of channel. floor: (12,) with which the changes are compared.
 
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
         was, now = map(self._row_errors.of, (before, after))
-        if measured:
-            was, now = ModelErrors(was.rows), ModelErrors(now.rows)
         if (skipped := self._skipped(before, after)) > 0:
             was, now = was.after(skipped), now.after(skipped)
         return channel_changes(was, now, floor, self._regression.rate, self._limits)
@@ -107,21 +106,35 @@ class HeldOut:
             return 0
         return round(limits.free_start_durations[-1] * self._regression.rate)
 
-    def open_loop_changes(
-        self, before: Vehicle, after: Vehicle, *, measured: bool = False
-    ) -> dict[tuple[float, str], ErrorChange]:
-        """By horizon, s, and quantity; empty without a pose. measured: with the pose's errors.
+    def open_loop_changes(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+        """By quantity; empty without a pose.
 
         Without the position where an estimator makes the pose: after a second its error is that of the velocity at the
         start, to which the commands respond, so that a model whose rotors turn the vehicle too much comes closer.
         """
-        interval = self._regression.thresholds.prediction.start_interval
         was, now = map(self._window_errors.of, (before, after))
-        if measured:
-            was, now = ({h: ModelErrors(of.rows) for h, of in errors.items()} for errors in (was, now))
-        compared = open_loop_changes(was, now, interval, self._limits)
+        if not was:
+            return {}
+        interval = self._regression.thresholds.prediction.start_interval
+        compared = open_loop_changes(was, now, self._motion, interval, self._limits)
         estimated = any(segment.pose_source == "estimator" for segment in self.segments)
-        return {place: c for place, c in compared.items() if not (estimated and place[1] == "position")}
+        return {quantity: c for quantity, c in compared.items() if not (estimated and quantity == "position")}
+
+    def improvement(self, before: Vehicle, after: Vehicle) -> float:
+        """Standard deviations by which all errors of the open loop together fall from one vehicle to another.
+
+        Infinite where there is none to compare, and where the model before diverges.
+        """
+        quantities = list(self.open_loop_changes(before, after))
+        if not quantities:
+            return math.inf
+        was, now = map(self._window_errors.of, (before, after))
+        interval = self._regression.thresholds.prediction.start_interval
+        return -open_loop_total(was, now, quantities, interval, self._limits).deviations
+
+    @cached_property
+    def _motion(self) -> dict[float, Floats]:
+        return motion_over_horizons(self.segments, self._regression.thresholds.prediction)
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
@@ -140,17 +153,6 @@ class HeldOut:
         """Errors that rise from one vehicle to another by what matters and by more than chance, by name."""
         return self.worse_channels(before, after) | self.worse_open_loop(before, after)
 
-    def larger(self, vehicle: Vehicle, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """Errors that are larger by what matters, be it chance, by name: of channels and of the open loop, as measured.
-
-        before: the vehicle with the sensors' faults of the other, for the open loop, whose motion these do not change.
-        """
-        ratio = 1.0 + self._limits.max_rise
-        errors = self.channel_changes(vehicle, after, self.floor(after), measured=True)
-        by_place = self.open_loop_changes(before, after, measured=True)
-        errors |= {f"{q} after {h:g} s": change for (h, q), change in by_place.items()}
-        return {name: change for name, change in errors.items() if change.after > ratio * change.before}
-
     def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
         """The same of the kinds of channel."""
         by_kind = self.channel_changes(before, after, self.floor(after))
@@ -158,5 +160,5 @@ class HeldOut:
 
     def worse_open_loop(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
         """The same of the open loop."""
-        by_place = self.open_loop_changes(before, after)
-        return {f"{q} after {h:g} s": c for (h, q), c in by_place.items() if c.is_worse(self._limits)}
+        by_quantity = self.open_loop_changes(before, after)
+        return {f"{OPEN_LOOP} {q}": c for q, c in by_quantity.items() if c.is_worse(self._limits)}

@@ -91,7 +91,7 @@ def refit(
     keys = list(initial.estimates)
     joint = np.diag([estimate.std**2 for estimate in initial.estimates.values()])
     places = [keys.index((c.key, name)) for c, name in free]
-    covariance = covariance + _by_assumed(initial, places)
+    covariance = covariance + _by_held(initial, places)
     deviation = np.sqrt(np.diag(covariance) + clock)
     joint[np.ix_(places, places)] = covariance
     better = {
@@ -117,13 +117,14 @@ def _settle(
     return values, covariance
 
 
-def _by_assumed(initial: Fit, places: Sequence[int]) -> Floats:
-    """(k, k) covariance that parameters have by those which were assumed, and are not fitted again."""
+def _by_held(initial: Fit, places: Sequence[int]) -> Floats:
+    """(k, k) covariance that parameters have by what is held here: those assumed, and the gain of the commands."""
     assumed = [
         i for c in initial.candidates for i in initial.of(c) if list(initial.estimates)[i][1] in c.effect.assumed
     ]
-    across = initial.covariance[np.ix_(places, assumed)]
-    return np.asarray(across @ np.linalg.pinv(initial.covariance[np.ix_(assumed, assumed)]) @ across.T)
+    held = [*assumed, *range(len(initial.estimates), len(initial.covariance))]
+    across = initial.covariance[np.ix_(places, held)]
+    return np.asarray(across @ np.linalg.pinv(initial.covariance[np.ix_(held, held)]) @ across.T)
 
 
 def _moves(effect: Effect) -> bool:

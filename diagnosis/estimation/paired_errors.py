@@ -30,6 +30,7 @@ class ErrorChange:
     size: RMS of the difference of the predictions.
     shortfall: by how many deviations the squared error falls by less than half of the squared size, all of which it
         would fall by if the difference were real.
+    motion: RMS of what is predicted in open loop, the unit of its errors' rises; 0 for channels, whose floor is theirs.
     """
 
     before: float
@@ -40,10 +41,16 @@ class ErrorChange:
     deviations: float
     size: float = 0.0
     shortfall: float = 0.0
+    motion: float = 0.0
 
     @property
     def rise(self) -> float:
-        """How much an error at the floor would change, over the floor; negative where it falls. Axes count alike."""
+        """How much an error at the floor would change, over the floor; negative where it falls. Axes count alike.
+
+        In open loop, how much the error changes, over the motion.
+        """
+        if self.motion > 0:
+            return (self.after - self.before) / self.motion
         return relative_rise(float(np.mean(self.by_axis)))
 
     @property
@@ -64,7 +71,8 @@ class ErrorChange:
 
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
-        return self.rise > limits.max_rise and self.deviations > limits.deviations
+        largest = limits.max_open_loop_rise if self.motion > 0 else limits.max_rise
+        return self.rise > largest and self.deviations > limits.deviations
 
     def is_contradicted(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the difference would matter, but the error does not fall as if it were real."""
@@ -145,25 +153,56 @@ def channel_changes(
 def open_loop_changes(
     before: Mapping[float, ModelErrors],
     after: Mapping[float, ModelErrors],
+    motion: Mapping[float, Floats],
     interval: float,
     limits: RelevanceThresholds,
-) -> dict[tuple[float, str], ErrorChange]:
-    """By horizon, s, and quantity.
+) -> dict[str, ErrorChange]:
+    """By quantity, over all horizons together, so that the errors of long ones, which are larger, decide.
 
-    before, after: errors of each segment's windows at each horizon. interval: between their starts, s. The floor of
-    each is its error before.
+    before, after: errors of each segment's windows at each horizon, s. motion: (4,) RMS change of each quantity over
+    each of them. interval: between the windows' starts, s.
     """
     compared = {}
-    for horizon, was in before.items():
-        for i, quantity in enumerate(OPEN_LOOP_QUANTITIES):
-            axes = slice(3 * i, 3 * i + 3)
-            old, new = (
-                [np.sum(e, axis=1, keepdims=True) for e in errors.squares(axes)] for errors in (was, after[horizon])
-            )
-            level = _norm([e[:, axes] ** 2 for e in was.rows])
-            if level > 0:
-                compared[horizon, quantity] = _change(old, new, np.array([level]), 1 / interval, limits)
+    for i, quantity in enumerate(OPEN_LOOP_QUANTITIES):
+        old, new = (_over_horizons(errors, [quantity]) for errors in (before, after))
+        level = _level(before, quantity)
+        if level > 0:
+            moved = float(np.sqrt(np.mean([moves[i] ** 2 for moves in motion.values()])))
+            compared[quantity] = replace(_change(old, new, np.array([level]), 1 / interval, limits), motion=moved)
     return compared
+
+
+def open_loop_total(
+    before: Mapping[float, ModelErrors],
+    after: Mapping[float, ModelErrors],
+    quantities: Sequence[str],
+    interval: float,
+    limits: RelevanceThresholds,
+) -> ErrorChange:
+    """The change of all errors of the open loop together, each over its size before. Arguments as above."""
+    levels = np.array([_level(before, quantity) for quantity in quantities])
+    old, new = (_over_horizons(errors, quantities) for errors in (before, after))
+    return _change(old, new, levels, 1 / interval, limits)
+
+
+def _over_horizons(errors: Mapping[float, ModelErrors], quantities: Sequence[str]) -> list[Floats]:
+    """(m, q) squared errors of each segment's windows, the mean of all horizons."""
+
+    def squares(of: ModelErrors, quantity: str) -> list[Floats]:
+        return [np.sum(e, axis=1) for e in of.squares(_axes(quantity))]
+
+    by_quantity = [[squares(of, quantity) for of in errors.values()] for quantity in quantities]
+    count = len(by_quantity[0][0])
+    return [np.stack([np.mean([h[i] for h in one], axis=0) for one in by_quantity], axis=1) for i in range(count)]
+
+
+def _level(errors: Mapping[float, ModelErrors], quantity: str) -> float:
+    return _norm([rows[:, _axes(quantity)] ** 2 for of in errors.values() for rows in of.rows])
+
+
+def _axes(quantity: str) -> slice:
+    place = OPEN_LOOP_QUANTITIES.index(quantity)
+    return slice(3 * place, 3 * place + 3)
 
 
 def _change(

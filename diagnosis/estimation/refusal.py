@@ -12,6 +12,7 @@ Reason = Literal[
     "few_resamples",
     "channel_worse",
     "open_loop_worse",
+    "open_loop_alike",
     "redundant",
     "at_bound",
     "worse_than_rival",
@@ -88,8 +89,13 @@ def reason_of(refused: Refused) -> str:
             )
         case "open_loop_worse":
             text = (
-                f"on the held-out flights the predicted {refused.where} after {number['horizon']} s becomes worse, "
-                f"{number['before']} before and {number['after']} after"
+                f"on the held-out flights the {refused.where} predicted in open loop becomes worse, {number['before']} "
+                f"before and {number['after']} after, of a motion of {number['motion']}"
+            )
+        case "open_loop_alike":
+            text = (
+                f"on the held-out flights the open loop is not better with it by more than chance: "
+                f"{number['deviations']} standard deviations, {number['required']} are required"
             )
         case "at_bound":
             text = f"the value of {refused.where} that fits these flights best lies at its physical bound"

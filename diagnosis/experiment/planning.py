@@ -22,7 +22,7 @@ from dynamics.errors import RequestError
 from dynamics.model import build_model
 from dynamics.references.feasibility import check_feasibility
 from dynamics.references.reference import Reference
-from dynamics.references.table import write_table
+from dynamics.references.table import as_read_back, write_table
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 
@@ -30,6 +30,7 @@ START_SHARE = 0.25  # of the trials that are random proportions
 CHILDREN = 12  # of a generation
 MAX_TRIES = 60  # random proportions that are tried for any that can be flown
 STEP = 0.15  # of the strategy at its start, over a leading sine
+THRUST_MARGIN = 0.055  # of the rotors' range at either end, a little more than a flight requires
 SLOWER, MAX_SLOWER = 0.95, 14  # pace of a lap whose ramps exceed a limit that it keeps itself
 Progress = Callable[[float], None]
 
@@ -151,15 +152,17 @@ class _Search:
 
 
 def _within_limits(family: Family, lap: Lap, name: str) -> tuple[Lap, Reference]:
-    """The reference of a lap, slower where its ramps exceed a limit. Raises RequestError where that does not help."""
-    reference = family.reference(lap, name)
+    """The reference of a lap, slower where it exceeds a limit as it is flown, which is from the table that is written.
+
+    Raises RequestError where that does not help.
+    """
     for _ in range(MAX_SLOWER):
-        verdict = check_feasibility(reference, family.vehicle)
-        if verdict.is_feasible:
-            break
-        lap = lap.at_pace(SLOWER)
         reference = family.reference(lap, name)
-    check_feasibility(reference, family.vehicle).require()
+        if check_feasibility(as_read_back(reference), family.vehicle, margin=THRUST_MARGIN).is_feasible:
+            return lap, reference
+        lap = lap.at_pace(SLOWER)
+    reference = family.reference(lap, name)
+    check_feasibility(as_read_back(reference), family.vehicle).require()
     return lap, reference
 
 

@@ -84,6 +84,18 @@ def open_loop_windows(
     return errors
 
 
+def motion_over_horizons(
+    segments: Sequence[Segment], thresholds: PredictionThresholds = DEFAULT.prediction
+) -> dict[float, Floats]:
+    """(4,) RMS change of position, velocity, attitude and rate over each horizon."""
+    motion: dict[float, Floats] = {}
+    for horizon in thresholds.horizons:
+        pairs = [(s.smooth[step:], s.smooth[:-step]) for s in segments if len(s) > (step := round(horizon * s.rate))]
+        moved = np.vstack([state_error(later, earlier) for later, earlier in pairs]) if pairs else np.zeros((1, 12))
+        motion[horizon] = np.sqrt(np.mean(np.sum(moved.reshape(-1, 4, 3) ** 2, axis=2), axis=0))
+    return motion
+
+
 def state_error(predicted: Floats, measured: Floats) -> Floats:
     """(n, 12) errors of position, velocity, attitude as a rotation vector, and rate, from states (n, 13 or more)."""
     rotation = quaternion.multiply(quaternion.conjugate(measured[:, ATTITUDE]), predicted[:, ATTITUDE])

@@ -135,7 +135,9 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
     min_motion: RMS by which an effect changes a channel over that of the motion which the model explains there, below
         which it is a hint in every channel, and so is what a test of the residuals finds. [definition: 1 %]
-    max_rise: of the same error that is no loss, when an effect is put in. [definition: that of `min_rise`]
+    max_rise: of the same that is no loss, when an effect is put in. [definition: that of `min_rise`]
+    max_open_loop_rise: of an error of the open loop over the motion that it predicts, that is no loss. [definition:
+        5 mm of a metre]
     min_axis_floor: of an axis over that of its kind; no axis is without noise. [definition]
     deviations: of an estimate from its neutral value, or of a change from none, that is not chance. [convention: 95 %]
     block: over which errors may be correlated, s. [decisions: intervals come from blocks]
@@ -146,6 +148,7 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     min_rise: Score = 0.02
     min_motion: Share = 0.01
     max_rise: Score = 0.02
+    max_open_loop_rise: Score = 0.005
     min_axis_floor: Share = 1e-3
     deviations: Positive = 2.0
     block: Positive = 2.0

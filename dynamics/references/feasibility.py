@@ -66,9 +66,14 @@ class Feasibility:
         raise RequestError(f"the vehicle cannot fly {self.reference}: {listed}; {self.advice}.")
 
 
-def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float = 0.0) -> Feasibility:
-    """Check a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
-    excesses = exceeded_limits(_samples(reference), vehicle, ground)
+def check_feasibility(
+    reference: Reference, vehicle: Vehicle, *, ground: float = 0.0, margin: float = MARGIN
+) -> Feasibility:
+    """Check a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box.
+
+    margin: share of the rotors' thrust range that is reserved at either end.
+    """
+    excesses = exceeded_limits(_samples(reference), vehicle, ground, margin)
     slower = _feasible_speed(reference, vehicle, ground) if excesses else None
     return Feasibility(reference.name, excesses, slower, _advise(reference, slower) if excesses else "")
 
@@ -114,15 +119,17 @@ def _bisect(fits: Callable[[float], bool], low: float, high: float) -> float | N
     return int(100 * low) / 100
 
 
-def exceeded_limits(motion: ReferenceSamples, vehicle: Vehicle, ground: float) -> tuple[Excess, ...]:
-    """The worst instant of every limit of a vehicle that a motion exceeds. ground: height, m."""
+def exceeded_limits(
+    motion: ReferenceSamples, vehicle: Vehicle, ground: float, margin: float = MARGIN
+) -> tuple[Excess, ...]:
+    """The worst instant of every limit of a vehicle that a motion exceeds. ground: height, m. margin: see above."""
     rotors, limits = vehicle.rotors, vehicle.limits
     full = rotors.thrust_constant * rotors.speed_max**2
     idle = rotors.thrust_constant * rotors.speed_min**2
-    margin = MARGIN * (full - idle)
+    reserve = margin * (full - idle)
     thrust_min, thrust_max = vehicle.thrust_limits
     rows = [
-        ("rotor thrust", motion.rotor_thrust, idle + margin, full - margin, "N"),
+        ("rotor thrust", motion.rotor_thrust, idle + reserve, full - reserve, "N"),
         ("collective thrust", motion.collective_thrust, thrust_min, thrust_max, "N"),
         ("speed", np.linalg.norm(motion.velocity, axis=1), -np.inf, limits.speed, "m/s"),
         ("height", motion.position[:, 2], ground, np.inf, "m"),

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -27,10 +28,13 @@ from dynamics.vehicle import Vehicle
 
 REQUIRED = ("t", "position_x", "position_y", "position_z")
 MIN_ROWS = 7
-WINDOW, DEGREE = 9, 6  # of the local fits: rows, and degree of the polynomial
+WINDOW, DEGREE = 9, 6  # of the local fits: rows at least, and degree of the polynomial
+MIN_SPAN = 0.24  # s of the local fits: the rounding of closer rows would be taken for snap
+KNOTS = 0.1  # s between two knots at least: between them the curve's snap amplifies errors by the fourth power of 1 / s
 AT_REST = 0.05  # m/s or rad/s
 RAMP = 2.0  # s
 WRITTEN_STEP = 0.02  # s between the rows of a table that is written
+WRITTEN_DIGITS = 9  # after the point
 MAX_SPEED = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
 _COLUMNS = "Required: columns t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
 
@@ -39,44 +43,79 @@ def read_table(path: Path, vehicle: Vehicle) -> Reference:
     """The reference of a CSV file. Raises RequestError that names row and column of an impossible value."""
     columns = _read_columns(path)
     _check(path, columns)
-    times = columns["t"] - columns["t"][0]
     values = np.column_stack([columns["position_x"], columns["position_y"], columns["position_z"], _yaw(columns)])
-    derivatives = _local_fits(times, values)
+    return _through(columns["t"] - columns["t"][0], values, path.name, vehicle)
+
+
+def as_read_back(reference: Reference) -> Reference:
+    """A reference as `read_table` makes it of what `write_table` writes: what a planned flight flies."""
+    rows = _rows(reference)
+    return _through(rows[:, 0], rows[:, 1:], reference.name, reference.vehicle)
+
+
+def _through(times: Floats, values: Floats, name: str, vehicle: Vehicle) -> Reference:
+    """The reference through rows. times: (n,) from 0, s. values: (n, 4) position and yaw."""
+    knots = _knots(times)
+    derivatives = _local_fits(times, values, knots)
     moving = np.abs(derivatives[[0, -1], 1]).max() > AT_REST
     if not moving:
         derivatives[[0, -1], 1:] = 0.0
     ramp = min(RAMP, times[-1] / 2) if moving else 0.0
     law = TimeLaw(1.0, ramp, float(times[-1]) + ramp)
-    return Reference(path.name, _joined(times, derivatives), law, vehicle)
+    return Reference(name, _joined(times[knots], derivatives), law, vehicle)
 
 
 def write_table(reference: Reference, path: Path, notes: Sequence[str] = ()) -> Path:
     """Write position and yaw of a reference every 20 ms, notes above them. Raises RequestError."""
-    motion = reference.sample(np.append(np.arange(0.0, reference.duration, WRITTEN_STEP), reference.duration))
-    rows = np.column_stack([motion.time, motion.position, motion.yaw])
+    rows = _rows(reference)
 
     def write(part: Path) -> None:
         with part.open("w", encoding="utf-8", newline="") as file:
             file.writelines(f"# {note}\n" for note in notes)
             file.write(",".join((*REQUIRED, "yaw")) + "\n")
-            np.savetxt(file, rows, fmt="%.7f", delimiter=",")
+            np.savetxt(file, rows, fmt=f"%.{WRITTEN_DIGITS}f", delimiter=",")
 
     return write_whole(path, write, advice="Give a file in a folder that can be written.")
 
 
-def _local_fits(times: Floats, values: Floats) -> Floats:
-    """Values and four derivatives at every row. times: (n,). values: (n, 4). Returns (n, 5, 4)."""
-    result = np.empty((times.size, DERIVATIVES, FLAT))
-    window = min(WINDOW, times.size)
+def _rows(reference: Reference) -> Floats:
+    """(n, 5) time, position and yaw, as they are written."""
+    before_the_end = np.arange(math.ceil(reference.duration / WRITTEN_STEP - 1e-3)) * WRITTEN_STEP
+    motion = reference.sample(np.append(before_the_end, reference.duration))
+    return np.asarray(
+        np.round(np.column_stack([motion.time, motion.position, motion.yaw]), WRITTEN_DIGITS), dtype=float
+    )
+
+
+def _knots(times: Floats) -> NDArray[np.intp]:
+    """Rows (m,) that the curve's polynomials join, the first and the last among them, KNOTS or more apart."""
+    chosen = [0]
+    for row in range(1, times.size - 1):
+        if times[row] - times[chosen[-1]] >= KNOTS * (1 - 1e-9) and times[-1] - times[row] >= KNOTS * (1 - 1e-9):
+            chosen.append(row)
+    return np.array([*chosen, times.size - 1])
+
+
+def _local_fits(times: Floats, values: Floats, rows: NDArray[np.intp]) -> Floats:
+    """Values and four derivatives at some rows (m,). times: (n,). values: (n, 4). Returns (m, 5, 4)."""
+    result = np.empty((rows.size, DERIVATIVES, FLAT))
     factorials = np.array([math.factorial(order) for order in range(DERIVATIVES)], dtype=float)
-    for i, time in enumerate(times):
-        first = min(max(i - window // 2, 0), times.size - window)
-        since = times[first : first + window] - time
+    for place, row in enumerate(rows):
+        window = _window(times, int(row))
+        since = times[window] - times[row]
         scale = np.abs(since).max()
-        powers = np.vander(since / scale, min(DEGREE, window - 1) + 1, increasing=True)
-        coefficients = np.linalg.lstsq(powers, values[first : first + window], rcond=None)[0][:DERIVATIVES]
-        result[i] = coefficients * (factorials / scale ** np.arange(DERIVATIVES))[:, None]
+        powers = np.vander(since / scale, min(DEGREE, since.size - 1) + 1, increasing=True)
+        coefficients = np.linalg.lstsq(powers, values[window], rcond=None)[0][:DERIVATIVES]
+        result[place] = coefficients * (factorials / scale ** np.arange(DERIVATIVES))[:, None]
     return result
+
+
+def _window(times: Floats, row: int) -> slice:
+    """The rows that a local fit takes: WINDOW about the row, and those within MIN_SPAN about it."""
+    window = min(WINDOW, times.size)
+    first = min(max(row - window // 2, 0), times.size - window)
+    near = np.searchsorted(times, times[row] + np.array([-0.5, 0.5]) * MIN_SPAN * (1 + 1e-9))
+    return slice(min(first, int(near[0])), max(first + window, int(near[1])))
 
 
 def _joined(times: Floats, derivatives: Floats) -> PiecewisePolynomial:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from dynamics.errors import DataError
 from dynamics.vehicle_file import nearest
 from flights.assembly import Assembly
 from flights.log import LogContent
-from flights.quantities import QUANTITIES, known_columns, quantity_of
+from flights.quantities import PRIMARY, QUANTITIES, known_columns, quantity_of
 from flights.source import Source, TimeSpan
 from flights.tables import TIME
 
@@ -81,19 +82,55 @@ def read(source: Source) -> LogContent:
     """The streams of a flight CSV. Raises DataError for an inconsistent one."""
     assembly = Assembly()
     names = names_of(source.first_line())
-    _refuse_duplicates(names)
-    used = [name for name in names if name == TIME or quantity_of(name) is not None]
     layout = Layout(names, cut=None if source.span is None else Cut(source.span, TIME))
-    columns = read_columns(source.file, layout, used, assembly)
+    names = _without_duplicates(names, assembly)
+
+    def numbers(used: Sequence[str]) -> dict[str, Floats]:
+        return read_columns(source.file, layout, used, assembly)
+
+    columns = readable_columns(numbers, *needed_columns(names), assembly)
     if len(columns[TIME]):
         add_table(assembly, columns, names)
     return assembly.finish(keep_time=True)
 
 
+def needed_columns(names: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
+    """Of a flight table's columns the time and those that the physics needs, and the secondary ones by quantity."""
+    primary, secondary = [TIME], dict[str, list[str]]()
+    for name in names:
+        quantity = quantity_of(name)
+        if quantity is not None:
+            (primary if quantity.name in PRIMARY else secondary.setdefault(quantity.name, [])).append(name)
+    return primary, secondary
+
+
+def readable_columns(
+    read: Callable[[Sequence[str]], dict[str, Floats]],
+    primary: Sequence[str],
+    secondary: Mapping[str, Sequence[str]],
+    assembly: Assembly,
+) -> dict[str, Floats]:
+    """Columns by name, without the secondary quantities whose own cannot be read.
+
+    read: the columns of given names. primary: names, that of the time first. secondary: names by quantity.
+    Raises DataError where a primary one cannot be read.
+    """
+    try:
+        return read([*primary, *chain.from_iterable(secondary.values())])
+    except DataError:
+        columns = read(primary)
+    for quantity, names in secondary.items():
+        try:
+            columns |= read([primary[0], *names])
+        except DataError as error:
+            assembly.repair("stream_left_out", f"{quantity}: {error} It is left out.")
+    return columns
+
+
 def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[str]) -> None:
     """Add streams from columns of a flight table. names: all columns of the file; others than a flight's become notes.
 
-    Raises DataError when a part of a quantity is missing.
+    Raises DataError when a part of a primary quantity is missing; a secondary one is left out.
     """
     time = columns[TIME]
     grouped: dict[str, list[str]] = {}
@@ -104,9 +141,15 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
         elif name not in (TIME, ""):
             assembly.note(f"column {name!r} is no column of a flight and is left out{nearest(name, known_columns())}")
     for name in QUANTITIES:
-        if name not in grouped:
+        if name not in grouped or not columns.keys() >= set(grouped[name]):
             continue
-        parts = _all_parts(name, grouped[name])
+        try:
+            parts = _all_parts(name, grouped[name])
+        except DataError as error:
+            if name in PRIMARY:
+                raise
+            assembly.repair("stream_left_out", f"{error} {name} is left out.")
+            continue
         table = np.stack([columns[part] for part in parts], axis=1)
         logged = _slower_rows(table)
         stamps, table = time[logged], table[logged]
@@ -212,12 +255,17 @@ def names_of(line: str, delimiter: str = ",") -> list[str]:
     return [name.strip().strip('"') for name in line.split(delimiter)]
 
 
-def _refuse_duplicates(names: Sequence[str]) -> None:
+def _without_duplicates(names: Sequence[str], assembly: Assembly) -> list[str]:
+    """The names without secondary columns that are there more than once. Raises DataError for others."""
     twice = sorted({name for name in names if name and names.count(name) > 1})
-    if twice:
+    needed = [name for name in twice if (quantity := quantity_of(name)) is None or quantity.name in PRIMARY]
+    if needed:
         raise DataError(
-            f"the columns {', '.join(twice)} are there more than once. Wanted each once; remove the others."
+            f"the columns {', '.join(needed)} are there more than once. Wanted each once; remove the others."
         )
+    if twice:
+        assembly.repair("stream_left_out", f"{', '.join(twice)}: columns that are there more than once left out")
+    return [name for name in names if name not in twice]
 
 
 def _all_parts(name: str, present: list[str]) -> tuple[str, ...]:

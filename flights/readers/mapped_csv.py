@@ -6,6 +6,7 @@ The mappings in flights/mappings/ are applied without being named when all of th
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from flights import pose_source
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
+from flights.quantities import PRIMARY
 from flights.readers import csv, parquet
 from flights.source import Source
 
@@ -65,6 +67,8 @@ def read(source: Source) -> LogContent:
     columns = _columns(source, names, mapping, assembly)
     time = _time(columns[mapping.time.column], mapping)
     for stream in mapping.streams:
+        if not columns.keys() >= set(stream.columns):
+            continue
         values = np.stack([columns[column] for column in stream.columns], axis=1)
         assembly.add(stream.quantity, time, _converted(values, stream, mapping), ", ".join(stream.columns))
     return assembly.finish()
@@ -78,13 +82,25 @@ def _shipped_for(source: Source) -> Mapping | None:
 
 
 def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
-    needed = list(dict.fromkeys(mapping.columns))
+    needed = {name for stream in mapping.streams if stream.quantity in PRIMARY for name in stream.columns}
+    primary = [mapping.time.column, *(name for name in dict.fromkeys(mapping.columns) if name in needed)]
+    secondary: dict[str, list[str]] = {}
+    for stream in mapping.streams:
+        if stream.quantity not in PRIMARY:
+            own = secondary.setdefault(stream.quantity, [])
+            own.extend(name for name in stream.columns if name not in {*primary, *own})
     unit = mappings.TIME_UNITS[mapping.time.unit]
     cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
-    if parquet.matches(source):
-        return parquet.read_columns(source, needed, cut)
     prefix = re.compile(mapping.file.prefix.encode()) if mapping.file.prefix else None
-    return csv.read_columns(source.file, csv.Layout(names, mapping.file.delimiter, cut, prefix), needed, assembly)
+    layout, is_parquet = csv.Layout(names, mapping.file.delimiter, cut, prefix), parquet.matches(source)
+
+    def numbers(used: Sequence[str]) -> dict[str, Floats]:
+        used = list(dict.fromkeys(used))  # two quantities may be of one column
+        if is_parquet:
+            return parquet.read_columns(source, used, cut)
+        return csv.read_columns(source.file, layout, used, assembly)
+
+    return csv.readable_columns(numbers, primary, secondary, assembly)
 
 
 def _time(values: Floats, mapping: Mapping) -> Floats:

@@ -133,7 +133,7 @@ def read(source: Source) -> LogContent:
             case Message() if (rows := collected.get(topics.get(part.channel_id, ""))) is not None:
                 try:
                     rows.add(part.data)
-                except (msgspec.DecodeError, msgspec.ValidationError):
+                except (msgspec.MsgspecError, UnicodeDecodeError):
                     damaged += 1
             case Metadata() if part.name == "alula":
                 metadata.update(part.metadata)

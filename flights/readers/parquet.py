@@ -34,7 +34,8 @@ def read(source: Source) -> LogContent:
             f"this Parquet file has the columns {', '.join(names[:12])}; wanted {TIME} and columns of the flight CSV, "
             "as position_x. Rename them, or give a column mapping."
         )
-    columns = read_columns(source, used, None if source.span is None else csv.Cut(source.span, TIME))
+    cut = None if source.span is None else csv.Cut(source.span, TIME)
+    columns = csv.readable_columns(lambda some: read_columns(source, some, cut), *csv.needed_columns(names), assembly)
     with _opened(source) as file:
         notes = decode_notes(file.schema_arrow.metadata)
     if len(columns[TIME]):

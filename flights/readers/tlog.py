@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
+from dynamics.autopilot import is_autopilot
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers import mavlink_streams
@@ -28,7 +29,6 @@ _SIGNED, _SIGNATURE_BYTES = 0x01, 13
 _MAX_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
 _CHUNK_BYTES = 1 << 20
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100
-_NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
 
 class Messages:
@@ -98,7 +98,11 @@ def read(source: Source) -> LogContent:
                 counts["damaged"] += 1
                 continue
             messages.add(arrival, payload)
-            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT and sender not in autopilots and _is_autopilot(payload):
+            if (
+                number == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+                and sender not in autopilots
+                and _is_autopilot(sender, payload)
+            ):
                 autopilots.append(sender)
     _note_counts(assembly, counts)
     vehicle = _vehicle(collected, autopilots, assembly)
@@ -200,6 +204,6 @@ def _is_whole(frame: bytes, header: int, extra: int) -> bool:
     return bool(crc == frame[end] | frame[end + 1] << 8)
 
 
-def _is_autopilot(payload: bytes) -> bool:
+def _is_autopilot(sender: tuple[int, int], payload: bytes) -> bool:
     heartbeat = payload.ljust(9, b"\0")  # u32 custom_mode, u8 type, u8 autopilot, ...
-    return heartbeat[5] != mavlink.MAV_AUTOPILOT_INVALID and heartbeat[4] not in _NOT_AUTOPILOTS
+    return is_autopilot(sender[1], heartbeat[4], heartbeat[5])

@@ -65,7 +65,10 @@ def read(source: Source) -> LogContent:
         add(assembly, topics)
     ulog_rotors.add_streams(assembly, topics, vehicle_type)
     for add in _REST:
-        add(assembly, topics)
+        try:
+            add(assembly, topics)
+        except (KeyError, ValueError, IndexError) as error:  # fields that another version of PX4 has otherwise
+            assembly.repair("stream_left_out", f"{add.__name__.strip('_')}: its topic is left out ({error!r})")
     return assembly.finish()
 
 

@@ -1,5 +1,8 @@
 """A bundle: a folder with a compiled kernel, its vehicle file, and a manifest with their hashes.
 
+A bundle is code. It runs where the user has approved its manifest, and with that every file that the manifest lists:
+by exporting it here, or with `alula trust BUNDLE` (`dynamics.trust`).
+
 `alula export` writes bundles. A bundle flies without CasADi and without a compiler: what its kernel must be told of the
 vehicle stands in the manifest, and HPIPM is in the folder. A folder with a vehicle file alone is a bundle of that
 file's model, compiled before it flies.
@@ -16,8 +19,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.approvals import Kind
+from dynamics.effect_source import ENDING, printable
 from dynamics.errors import RequestError
 from dynamics.network_inputs import Frame
+from dynamics.trust import approve_here, is_approved, quoted
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from dynamics.vehicle_file import vehicle_text as read_vehicle_text
@@ -150,15 +156,11 @@ class Bundle:
 def read_bundle(folder: Path) -> Bundle:
     """Read and check a bundle.
 
-    Raises RequestError for one that is damaged or edited, built for another machine, or only usable on a workbench.
+    Raises RequestError for one that is damaged or edited, built for another machine, only usable on a workbench, or
+    not approved.
     """
-    manifest = _read_manifest(folder / MANIFEST)
-    for name, digest in manifest.files.items():
-        if _digest(folder / name) != digest:
-            raise RequestError(
-                f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
-                "is proven about it; export the model again."
-            )
+    manifest, sha256 = _read_manifest(folder / MANIFEST)
+    _require_files(folder, manifest)
     libraries = [path.name for path in libraries_in(folder) or (Path(HPIPM),)]
     for name in (VEHICLE, KERNEL, *libraries, *([PHYSICS] if manifest.learned else [])):
         if name not in manifest.files:
@@ -169,14 +171,65 @@ def read_bundle(folder: Path) -> Bundle:
             "Train it with --causal-inputs; its model.onnx and model.c can be used on a workbench."
         )
     _require_machine(folder, manifest)
+    _require_unedited(folder, manifest)
+    _require_approved(folder, manifest, sha256)
+    text = read_vehicle_text(folder / VEHICLE)
+    vehicle = parse_vehicle(text)
+    return bundle_of(folder, manifest, vehicle, text)
+
+
+def whole_manifest(folder: Path) -> tuple[Manifest, str]:
+    """The manifest of a bundle whose files are those that it lists, and the manifest's sha256. Nothing runs.
+
+    Raises RequestError for a bundle that is damaged or edited.
+    """
+    manifest, sha256 = _read_manifest(folder / MANIFEST)
+    _require_files(folder, manifest)
+    _require_unedited(folder, manifest)
+    return manifest, sha256
+
+
+def _require_files(folder: Path, manifest: Manifest) -> None:
+    """Raise RequestError for a file that is not the one that the manifest lists."""
+    for name, digest in manifest.files.items():
+        if _digest(folder / name) != digest:
+            raise RequestError(
+                f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
+                "is proven about it; export the model again."
+            )
+
+
+def _require_unedited(folder: Path, manifest: Manifest) -> None:
+    """Raise RequestError for a manifest that was edited after the export."""
     if with_digest(manifest) != manifest:
         raise RequestError(
             f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
             "flight may have changed; export the model again."
         )
-    text = read_vehicle_text(folder / VEHICLE)
-    vehicle = parse_vehicle(text)
-    return bundle_of(folder, manifest, vehicle, text)
+
+
+def code_of(manifest: Manifest) -> dict[str, tuple[Kind, str]]:
+    """The files of a bundle that can run, by name: shared libraries and effects of the user's own."""
+    libraries: dict[str, tuple[Kind, str]] = {
+        name: ("library", sha256) for name, sha256 in manifest.files.items() if ".so" in Path(name).suffixes
+    }
+    effects: dict[str, tuple[Kind, str]] = {
+        name: ("effects", sha256) for name, sha256 in manifest.files.items() if Path(name).suffix == ENDING
+    }
+    return libraries | effects
+
+
+def _require_approved(folder: Path, manifest: Manifest, sha256: str) -> None:
+    """Raise RequestError for a bundle that the user has not approved; its files are approved with it."""
+    code = code_of(manifest)
+    if not is_approved("bundle", sha256):
+        files = "\n".join(f"  sha256 {digest}  {printable(name)}" for name, (_, digest) in code.items())
+        raise RequestError(
+            f"{printable(str(folder))} is code that would run as you, and you have not approved it on this "
+            f"machine:\n{files}\n  sha256 {sha256}  {MANIFEST}\n"
+            f"Approve it, if you know who exported it: alula trust {quoted(folder)}"
+        )
+    approve_here(code.values())
 
 
 def bundle_of(folder: Path, manifest: Manifest, vehicle: Vehicle, text: str) -> Bundle:
@@ -190,18 +243,20 @@ def parse_manifest(text: str | bytes) -> Manifest:
     return msgspec.json.decode(text, type=Manifest)
 
 
-def _read_manifest(path: Path) -> Manifest:
+def _read_manifest(path: Path) -> tuple[Manifest, str]:
+    """A manifest and its sha256. Raises RequestError for a damaged one, or of another version."""
     try:
-        manifest = parse_manifest(path.read_bytes())
+        content = path.read_bytes()
+        manifest = parse_manifest(content)
     except OSError as error:
         raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
     if manifest.format != FORMAT or manifest.version != VERSION:
         raise RequestError(
             f"{path} is {manifest.format} {manifest.version}, required is {FORMAT} {VERSION}. Export again."
         )
-    return manifest
+    return manifest, hashlib.sha256(content).hexdigest()
 
 
 def _digest(path: Path) -> str:

@@ -10,11 +10,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.autopilot_settings import AutopilotSettings
 from dynamics.controller_defaults import lookaheads, unmodelled_thrust_lag
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
@@ -44,9 +46,11 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     problem: cost, horizon and bounds.
     period: expected time between ticks, s.
-    rate_lookahead: time along the prediction's slope at which roll and pitch rate setpoints are read, s: the delay of
-        the autopilot's rate loop.
+    rate_lookahead: time along the slope of the body rates at which roll and pitch rate setpoints are read, s: the delay
+        of the autopilot's rate loop.
     yaw_lookahead: the same of the yaw rate, s.
+    setpoint: the slope: that of the prediction's first node, or the angular acceleration that its inputs command, which
+        differs where the model's rotors lag. The former is that of recordings without the key.
     delay: from a command's departure to its action, s; added to the age of every estimate.
     max_position_error: distance, m, to which the position error is limited; a linearisation does not reach further.
     fit: when a learned model does not fit any more.
@@ -57,6 +61,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     period: float = CONTROL_PERIOD
     rate_lookahead: float
     yaw_lookahead: float
+    setpoint: Literal["predicted", "commanded"] = "predicted"
     delay: float = DEFAULTS.delay
     max_position_error: float = msgspec.field(default=DEFAULTS.max_position_error, name="largest_error")
     fit: FitLimits = FitLimits()
@@ -69,15 +74,20 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         *,
         period: float | None = None,
         adaptation: AdaptationSettings | None = None,
+        gains: AutopilotSettings | None = None,
         catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> ControllerOptions:
-        """The options of a vehicle's [controller]. period: s, instead of its rate's. adaptation: but for its lags."""
-        settings, lookahead = vehicle.controller, lookaheads(vehicle, catalogue)
+        """The options of a vehicle's [controller]. period: s, instead of its rate's. adaptation: but for its lags.
+
+        gains: of the autopilot's rate loop; None for those of the vehicle file, else ones that suit its motors.
+        """
+        settings, lookahead = vehicle.controller, lookaheads(vehicle, catalogue, gains)
         return cls(
             problem=Problem.from_settings(settings),
             period=period or 1 / settings.rate,
             rate_lookahead=lookahead.rate,
             yaw_lookahead=lookahead.yaw,
+            setpoint="commanded",
             delay=settings.delay,
             max_position_error=settings.max_position_error,
             adaptation=msgspec.structs.replace(
@@ -86,6 +96,11 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
                 motor_lag=rate_loop(vehicle, catalogue=catalogue).motor_lag,
             ),
         )
+
+    def for_autopilot(self, vehicle: Vehicle, gains: AutopilotSettings) -> ControllerOptions:
+        """The options with the lookaheads of a vehicle whose autopilot has these gains, unless its file has them."""
+        lookahead = lookaheads(vehicle, gains=gains)
+        return msgspec.structs.replace(self, rate_lookahead=lookahead.rate, yaw_lookahead=lookahead.yaw)
 
     def for_kernel(self, compiled: Problem) -> ControllerOptions:
         """The same with the nodes and horizon of a compiled kernel; in place of a default problem the kernel's own."""
@@ -151,9 +166,10 @@ class Controller:
         self._ticks = 0
         self._has_hidden = model.hidden_count > 0
         self._state = model.initial_state(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]))
-        seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
-        self._lookahead = np.array(seconds) / options.problem.node  # in nodes
         self._command_states = self.solver.states[:2]
+        self._leads_lag = options.setpoint == "commanded" and len(self.solver.rotor_speed_places) > 0
+        self.use_lookaheads(options)
+        self._settled = self._state.copy()
         self.adaptation: Adaptation | None = None
         if options.adaptation.mode != "off":
             self.adaptation = Adaptation(
@@ -188,6 +204,15 @@ class Controller:
             return None
         options = (options or ControllerOptions.for_vehicle(bundle.vehicle)).for_kernel(bundle.manifest.problem)
         return cls(bundle.vehicle_model, options, library=bundle.physics)
+
+    def use_lookaheads(self, options: ControllerOptions) -> None:
+        """Look ahead as far as other options say from now on."""
+        lookahead = np.array([options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead])
+        self.options = msgspec.structs.replace(
+            self.options, rate_lookahead=options.rate_lookahead, yaw_lookahead=options.yaw_lookahead
+        )
+        self._lead: Floats = lookahead  # s
+        self._lookahead: Floats = lookahead / self.options.problem.node  # in nodes
 
     @property
     def is_learned(self) -> bool:
@@ -275,14 +300,31 @@ class Controller:
         """
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
-        now, then = self._command_states[0, RATE], self._command_states[1, RATE]
-        rate = now + self._lookahead * (then - now)
+        rate = self._rate_setpoint(speed, time + self.options.delay)
         thrust = float(self.collective_thrust(speed))
         command = Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
         self._take_state(state, time)
         if not command.fault:
             self._remember(self._acting, speed)
         return command
+
+    def _rate_setpoint(self, speed: Floats, acting: float) -> Floats:
+        """The body rates (3,), rad/s, to command for the rotor speeds (nu,), rad/s, that act from a time on, s.
+
+        They look ahead along the angular acceleration that these inputs command. Where the model lags, the prediction's
+        slope is what earlier inputs left: the rate loop would be told of a plan when the model has carried it out.
+        """
+        now = self._command_states[0, RATE]
+        if not self._leads_lag:
+            return np.asarray(now + self._lookahead * (self._command_states[1, RATE] - now))
+        self._settled[:] = self._command_states[0]
+        for place in self.solver.rotor_speed_places:
+            self._settled[place] = speed
+        step = min(self.options.problem.node, self._max_step)
+        if self._columns is not None:
+            self._columns.write_columns(acting, self.solver.history)
+        settled = self.solver.propagate(self._settled, speed, step)[RATE]
+        return np.asarray(now + self._lead / step * (settled - now))
 
     def sent(self, collective_thrust: float, time: float, effectiveness: float) -> None:
         """Tell what left at a tick, s: N, also where it is not what this controller commanded.

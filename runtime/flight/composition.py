@@ -35,6 +35,12 @@ def build_controllers(vehicle: Vehicle, bundle: Bundle | None, options: Controll
     return Controllers(Controller.from_bundle(bundle, options), Controller.fallback_from_bundle(bundle, options))
 
 
+def use_lookaheads(controllers: Controllers, options: ControllerOptions) -> None:
+    """Let all controllers look ahead as far as these options say."""
+    for controller in filter(None, controllers):
+        controller.use_lookaheads(options)
+
+
 def build_flyer(
     controllers: Controllers, reference: Motion, plan: Plan, settings: FlyerSettings, *, thrust_curve: float
 ) -> Flyer:

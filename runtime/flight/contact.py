@@ -7,7 +7,6 @@ drifting at rest. The accelerometer does not: whatever carries the vehicle shows
 from __future__ import annotations
 
 from collections import deque
-from enum import Enum
 from math import acos, inf, isfinite
 
 import numpy as np
@@ -21,6 +20,7 @@ GRAVITY_WORLD = np.array([0.0, 0.0, GRAVITY])
 MEAN_TIME = 0.1  # s over which the force is averaged: it takes PX4's 1.4 m/s^2 of noise at 100 Hz down to 0.45
 USUAL_TIME = 1.5  # s over which the usual force of a flight is averaged
 MIN_UPRIGHTNESS = 0.1  # cosine of the tilt, below which a thrust shows nothing vertical
+SETTLED = 0.15  # of the weight, force along the thrust up to which thrust is as modelled
 MAX_GAP = 0.2  # s between two samples after which the mean starts again
 
 
@@ -101,7 +101,7 @@ class ForceMeter:
         self.force.clear()
         self.usual = np.zeros(3)
         self.thrust, self.by_velocity = 0.0, False
-        self._upright, self._missing = 1.0, 0.0
+        self._upright, self._missing, self._axis = 1.0, 0.0, UP
         self._measured, self._before = -inf, (0.0, np.zeros(3))
 
     def update(
@@ -121,7 +121,7 @@ class ForceMeter:
         missing_thrust: what the model has lost of it since lift-off, per mass, m/s^2.
         """
         self.thrust, self._upright = thrust, max(uprightness(attitude), MIN_UPRIGHTNESS)
-        self._missing = max(missing_thrust, 0.0)
+        self._missing, self._axis = max(missing_thrust, 0.0), np.asarray(quaternion.rotate(attitude, UP))
         (before, velocity_before), self._before = self._before, velocity
         elapsed = velocity[0] - before
         if isfinite(specific_force[2]):
@@ -143,9 +143,27 @@ class ForceMeter:
         assured = self.force.up - self._missing * self._upright
         return min(self.force.up, max(assured, self.force.along_thrust / self._upright))
 
+    @property
+    def lacking(self) -> float:
+        """Vertical part of the thrust that was there at lift-off and moves nothing now, m/s^2."""
+        return self._missing * self._upright - self.force.up
+
+    @property
+    def explained_by_no_loss(self) -> Floats:
+        """(3,) the force without the part against the thrust, which may be thrust that is lost, m/s^2, world."""
+        return self.force.value - min(self.force.along_thrust, 0.0) * self._axis
+
+    @property
+    def unexplained(self) -> Floats:
+        """(3,) change from the usual force that no loss of thrust explains, m/s^2, world."""
+        return self.explained_by_no_loss - self.usual
+
     def learn(self, duration: float) -> None:
-        """Take the present force as a usual one of free flight, for `duration` s."""
-        if self.force.covered:
+        """Take the present force as a usual one of free flight, for `duration` s.
+
+        Not while thrust does not do what is modelled: what lacks of it is no force from outside that goes on.
+        """
+        if self.force.covered and abs(self.force.along_thrust) < SETTLED * GRAVITY:
             self.usual += (self.force.value - self.usual) * min(duration / USUAL_TIME, 1.0)
 
 
@@ -174,75 +192,29 @@ class LandingContact:
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
     SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
+    PER_THRUST, CHANGE_TIME = 0.3, 0.15  # of a change of thrust within s, by which its model may be late
+    USUAL_CHANGE = 0.3 * GRAVITY  # m/s^2, of a descent
     IMPULSE, IMPULSE_FAST = 0.25, 0.5  # of the weight over MEAN_TIME: a descent of 0.25 and 0.5 m/s that ends
 
     def __init__(self) -> None:
         self._slow, self._fast = Persistence(self.HOLD), Persistence(self.HOLD)
+        self._thrusts: deque[tuple[float, float]] = deque()
 
     def update(self, meter: ForceMeter, time: float, *, slow: bool) -> bool:
         """Take one tick. slow: whether the descent is slower than 0.4 m/s. time: s."""
-        change = meter.force.value - meter.usual
+        change = meter.unexplained
         anywhere = self.SIDEWAYS * float(np.linalg.norm(change)) if meter.force.covered else 0.0
-        share = max(meter.force.along_thrust, float(change[2]), anywhere) / GRAVITY
+        allowance = self.PER_THRUST * max(self._thrust_change(meter.thrust, time) - self.USUAL_CHANGE, 0.0)
+        share = (max(meter.force.along_thrust, float(change[2]), anywhere) - allowance) / GRAVITY
         held_slow = self._slow.update(share > self.SHARE, time)
         held_fast = self._fast.update(share > self.SHARE_FAST, time)
         return held_fast or share > self.IMPULSE_FAST or (slow and (held_slow or share > self.IMPULSE))
 
-
-class Ground(Enum):
-    """What a probe of the ground has found."""
-
-    OPEN = "open"
-    CARRIES = "carries"
-    ABSENT = "absent"
-
-
-class GroundProbe:
-    """Takes thrust away after a contact, level, and finds out whether the ground carries the vehicle.
-
-    On the ground the specific force stays gravity's while thrust goes away; in the air it goes away with thrust, down
-    to what was usual in flight. So a gust that was mistaken for the ground, or a bounce, costs a moment of reduced
-    thrust, and the vehicle is caught.
-    """
-
-    RAMP = 0.3  # s in which thrust goes away
-    FIRST = 0.6  # thrust per weight at once: enough to level with
-    LEVELLING, MAX_LEVELLING = 1.5, 0.4  # rad/s; s for which that thrust is kept in a landing
-    FLOOR = 0.3  # thrust per weight, to which a probe in flight reduces it
-    MIN_DEFICIT = 0.3  # of the weight that the force which would keep it at rest must be to judge the ground
-    CARRIED, FALLING = 0.6, 0.3  # shares of the force that would keep it at rest which something else gives
-    HOLD = 0.04  # s that either must hold
-    PATIENCE = 0.8  # s after which the likelier of the two counts
-
-    def __init__(
-        self, time: float, thrust: float, weight: float, *, tilt: float, landing: bool, usual: Floats | None = None
-    ) -> None:
-        """time: s. thrust: at that time, N. weight: N. tilt: rad. landing: whether thrust may go to zero meanwhile.
-
-        usual: (3,) external force of the flight before, m/s^2, world: a wind goes on in the air. None for none.
-        """
-        self._usual = np.zeros(3) if usual is None else usual
-        levelling = min(tilt / self.LEVELLING, self.MAX_LEVELLING) if landing else 0.0
-        self._started, self._ramp = time, time + levelling
-        self._first = min(thrust, self.FIRST * weight)
-        self._floor = 0.0 if landing else self.FLOOR * weight
-        self._carried, self._falling = Persistence(self.HOLD), Persistence(self.HOLD)
-
-    def thrust(self, time: float) -> float:
-        """Thrust to send, N."""
-        return max(self._first * min(1.0 - (time - self._ramp) / self.RAMP, 1.0), self._floor)
-
-    def update(self, force: ExternalForce, thrust: float, attitude: Floats, time: float) -> Ground:
-        """Take one tick. thrust: modelled, per mass, m/s^2. attitude: (4,). time: s."""
-        lacking = GRAVITY_WORLD - thrust * quaternion.rotate(attitude, UP) - self._usual
-        deficit = float(np.linalg.norm(lacking))
-        judged = force.covered and deficit > self.MIN_DEFICIT * GRAVITY
-        share = float((force.value - self._usual) @ lacking) / deficit**2 if judged else 0.0
-        carried = self._carried.update(judged and share > self.CARRIED, time)
-        if carried and time >= self._ramp:  # levelled
-            return Ground.CARRIES
-        if self._falling.update(judged and share < self.FALLING, time):
-            return Ground.ABSENT
-        if time - self._started > self.PATIENCE:
-            return Ground.CARRIES if share > 0.5 * (self.CARRIED + self.FALLING) or not judged else Ground.ABSENT
-        return Ground.OPEN
+    def _thrust_change(self, thrust: float, time: float) -> float:
+        """Between the greatest and the smallest thrust of the last moments, m/s^2: its model lags or leads."""
+        thrusts = self._thrusts
+        thrusts.append((time, thrust))
+        while thrusts[0][0] < time - self.CHANGE_TIME:
+            thrusts.popleft()
+        values = [value for _, value in thrusts]
+        return max(values) - min(values)

@@ -68,15 +68,17 @@ class CrashDetector:
         if not force.covered:
             self._past.clear()
             return present
-        jump = self._jump(force.value, thrust, time)
+        jump = self._jump(meter.explained_by_no_loss, thrust, time)
         if jump > limits.impact:
             present[Event.IMPACT] = f"an unexplained {jump / GRAVITY:.1f} g within {limits.impact_time:g} s"
         slow = float(np.linalg.norm(velocity)) < limits.slow
         allowance = limits.per_thrust * max(thrust - GRAVITY, 0.0)
         if self._carried.update(slow and meter.carrying > limits.carried * GRAVITY + allowance, time):
             present[Event.GROUND_CONTACT] = f"it carries {meter.carrying / GRAVITY:.0%} of the weight"
-        if self._pressed.update(slow and -force.up > limits.pressed * GRAVITY + allowance, time):
-            present[Event.HELD] = f"{-force.up / GRAVITY:.0%} of the weight is missing in its motion"
+        lacking = meter.lacking
+        allowance = limits.per_thrust * max(thrust + lacking + force.up - GRAVITY, 0.0)
+        if self._pressed.update(slow and lacking > limits.pressed * GRAVITY + allowance, time):
+            present[Event.HELD] = f"{lacking / GRAVITY:.0%} of the weight is missing in its motion"
         return present
 
     def motion(self, attitude: Floats, reference: Floats, distance: float, time: float) -> dict[Event, str]:

@@ -39,6 +39,7 @@ class Decision:
     rate_body: (3,) rad/s; None: nothing may be sent.
     thrust: 0..1, as it is sent.
     collective_thrust: N, that it stands for.
+    held_thrust: 0..1, of a setpoint without rates that may be held if the stream has to end before the next tick.
     fallback: that is flown.
     solver_status: 0 is success, -1 no solution was computed.
     feedback_seconds: of the solver.
@@ -50,6 +51,7 @@ class Decision:
     rate_body: Floats | None = None
     thrust: float = 0.0
     collective_thrust: float = 0.0
+    held_thrust: float = 0.0
     fallback: Fallback = Fallback.NONE
     solver_status: int = -1
     feedback_seconds: float = 0.0

@@ -46,11 +46,18 @@ class Event(Enum):
     DEADLINES_MISSED = "deadlines_missed"
     CLOCK_UNCERTAIN = "clock_uncertain"
     CLOCK_BACKWARDS = "clock_backwards"
+    STAMPS_AHEAD = "stamps_ahead"
     LINK_LOST = "link_lost"
     SETPOINT_REFUSED = "setpoint_refused"
+    OTHER_CONTROLLER = "other_controller"
+    HOST_STALLED = "host_stalled"
+    HOST_STARVED = "host_starved"
+    LINK_JITTER = "link_jitter"
+    LINK_UNSTEADY = "link_unsteady"
     DISARMED = "disarmed"
     MODE_CHANGED = "mode_changed"
     THRUST_LIMIT = "thrust_limit"
+    THRUST_LOST = "thrust_lost"
     TAKEOFF_FAILED = "takeoff_failed"
     NOT_UPRIGHT = "not_upright"
     TIPPING = "tipping"
@@ -90,6 +97,7 @@ class Policy:
     clear_after: s of absence before it clears; infinite: it clears only when control is taken again.
     refuses: whether engaging is refused while it is active.
     lands: whether the mission is cut short by a landing.
+    sinks: whether that landing goes straight down, level and with the thrust that there is.
     probes: whether thrust is reduced in flight to find out if the ground carries the vehicle already.
     """
 
@@ -100,6 +108,7 @@ class Policy:
     clear_after: float = 1.0
     refuses: bool = False
     lands: bool = False
+    sinks: bool = False
     probes: bool = False
 
 
@@ -129,15 +138,38 @@ POLICIES: Mapping[Event, Policy] = {
     Event.CLOCK_BACKWARDS: Policy(
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
+    # the link says so once a second
+    Event.STAMPS_AHEAD: Policy("estimates are stamped in the future", Severity.ERROR, clear_after=1.5, refuses=True),
     Event.LINK_LOST: Policy(
         "nothing arrives from the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, refuses=True
     ),
     Event.SETPOINT_REFUSED: Policy(
         "the vehicle does not act on setpoints", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
     ),
+    # present from the first sign on: a mode that somebody changed shows in a HEARTBEAT within a second
+    Event.OTHER_CONTROLLER: Policy(
+        "another controller commands the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, 1.1, clear_after=NEVER
+    ),
+    Event.HOST_STALLED: Policy("this computer did not run the control loop", Severity.WARNING),
+    Event.HOST_STARVED: Policy(
+        "this computer is too busy to control the vehicle",
+        Severity.CRITICAL,
+        Fallback.STOP_STREAMING,
+        clear_after=NEVER,
+    ),
+    Event.LINK_JITTER: Policy("the link delivers irregularly", Severity.WARNING, onset=0.2),
+    Event.LINK_UNSTEADY: Policy(
+        "the link delivers too irregularly to control the vehicle",
+        Severity.CRITICAL,
+        Fallback.STOP_STREAMING,
+        clear_after=NEVER,
+    ),
     Event.DISARMED: Policy("the vehicle disarmed", Severity.CRITICAL),
     Event.MODE_CHANGED: Policy("the vehicle left OFFBOARD", Severity.CRITICAL),
     Event.THRUST_LIMIT: Policy("thrust is at its limit", Severity.WARNING, onset=1.0),
+    Event.THRUST_LOST: Policy(
+        "too little thrust is left to fly on", Severity.CRITICAL, clear_after=NEVER, lands=True, sinks=True
+    ),
     Event.TAKEOFF_FAILED: Policy(
         "no lift-off at the greatest take-off thrust", Severity.CRITICAL, clear_after=NEVER, lands=True
     ),
@@ -257,6 +289,11 @@ class EventMonitor:
     def landing_reason(self) -> str:
         """Why the mission has to end with a landing, empty when it does not."""
         return self._text_of(lambda policy: policy.lands)
+
+    @property
+    def sinks(self) -> bool:
+        """Whether an active event requires to land straight down."""
+        return any(POLICIES[event].sinks for event in self._active)
 
     def update(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
         """Take the events present at one tick, with details. Returns what was raised and cleared."""

@@ -11,29 +11,34 @@ from math import degrees, inf, isnan, radians
 import msgspec
 import numpy as np
 
+from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation import Adaptation, FollowedValue
 from runtime.control.controller import Command, Controller
+from runtime.flight.attribution import Attribution
 from runtime.flight.consistent_velocity import ConsistentVelocity
-from runtime.flight.contact import Ground, GroundProbe, tilt_of
 from runtime.flight.decision import Decision, Ending, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, Engagement, Facts, State
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
 from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
 from runtime.flight.ground_contact import GroundContact
+from runtime.flight.ground_probe import Ground
 from runtime.flight.health import FlightHealth, FrozenEstimate
 from runtime.flight.mission import LANDING, Mission, Phase
+from runtime.flight.parting import Parting
+from runtime.flight.settling import SHUTDOWN_TIME, Settling
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.start_pose import StartPose
 from runtime.flight.takeoff import HandOver, TakeoffRamp
-from runtime.flight.thrust import EffectivenessEstimator, ThrustMap, specific_force_z
+from runtime.flight.thrust import EffectivenessEstimator, ThrustMap, specific_force_z, vertical
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
-SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
+FAILSAFE_TIME = 0.3  # s without a setpoint, after which an autopilot's failsafe may act (COM_OF_LOSS_T is not less)
+STOPPED = "stopped streaming at once"
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
@@ -42,7 +47,8 @@ SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever h
 MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
 LEVELLING_SHARE = 0.6  # of the weight, from which on a take-off levels: it would leave a slope sideways
 START_GAIN, START_LIMIT = 3.0, 0.5  # 1/s and rad/s, of that
-LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contact
+SINK_GAIN, SINK_LIMIT = 3.0, 2.0  # 1/s and rad/s, of levelling where thrust is lost
+MIN_THRUST = 1.08  # of the weight, at most available, with which a flight goes on
 TOUCHDOWN_RATE = 0.4  # rad/s of tilting: what a soft contact lets it tilt until it is noticed
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
@@ -84,16 +90,18 @@ class Flyer:
         self._chain = FallbackChain(settings.bounds)
         self._health, self._frozen = FlightHealth(vehicle, settings.health), FrozenEstimate()
         self._hold = LevelHold(vehicle.weight)
-        self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
+        self._parting = Parting(self._hold, settings.period)
+        response = settings.thrust.delay + settings.thrust.response_time
+        self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max, response_time=response)
         self._ground = GroundContact(vehicle, settings.period)
         self._start_pose = StartPose()
-        self._probe: GroundProbe | None = None
-        self._probe_cause = ""
+        self._settling = Settling(vehicle.weight, min(vehicle.limits.rate[:2]))
         self._ending = Ending()
         self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
         self._velocity = ConsistentVelocity()
+        self._attribution = Attribution(settings.period)
         self._observed: ObservationRecord | None = None
         self._received: StateEstimate | None = None
         self._estimate: StateEstimate | None = None
@@ -110,8 +118,9 @@ class Flyer:
 
     @property
     def over(self) -> bool:
-        """Whether the flight is over: flown and given up, or refused."""
-        return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
+        """Whether the flight is over: flown and given up, or refused, and its last setpoints sent."""
+        ended = not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
+        return ended and not self._parting.active
 
     @property
     def landed(self) -> bool:
@@ -164,16 +173,22 @@ class Flyer:
             decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
         self._received = estimate
+        self._attribution.observe(observation.time, estimate, fresh=fresh)
         if estimate is not None:
             estimate = self._velocity.correct(estimate, moved=observation.reset) if fresh else self._estimate
         self._take_estimate(observation, estimate, fresh)
         decision.event_changes += self.events.update(self._findings(observation, estimate), observation.time)
         self._probe_ground(decision.event_changes, observation.time)
         decision.fallback = self._choose_fallback(observation.time)
+        was_streaming, was_flying = self.engagement.streaming, self.engagement.flying
         self._engage(observation, decision)
         if self.engagement.streaming:
+            self._parting.cancel()
             self._command(observation, decision)
-        else:
+        elif was_streaming:
+            self._part(observation, decision, flown=was_flying)
+        if not self.engagement.streaming:
+            self._send_last(observation, decision)
             self._health.rest()
         return decision
 
@@ -289,17 +304,27 @@ class Flyer:
         if now is None or now is previous:
             return
         self._pending |= self._health.flight(now.state, time, learned=self._controller.is_learned)
-        if self.mission.phase in LANDING:
-            return  # the ground may carry a part of the weight
         force = float(self._force[2])
         if isnan(force) and previous is not None and now.time - previous.time > 1e-3:
             elapsed = now.time - previous.time
             force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
         if self.adaptation is not None:
             force -= self.adaptation.specific_drag(now.state)
-        self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
+        landing, velocity = self.mission.phase in LANDING, now.velocity_world
+        near = landing and self._ground.may_be_near(self.mission, now.state, reported_landed=False)
+        climb = float(quaternion.rotate_inverse(now.attitude, velocity)[2])
+        self.effectiveness.measure(force, now.time, float(np.linalg.norm(velocity)), climb=climb, landing=near)
+        if (left := self._available_thrust / self._vehicle.weight) < MIN_THRUST:
+            self._pending[Event.THRUST_LOST] = f"at most {left:.2f} of the weight"
+        if landing:
+            return
         if self.adaptation is not None and self.mission.phase not in (Phase.GROUND, Phase.RAMP):
             self.adaptation.read_voltage(now.time, self._voltage, self.effectiveness.value)
+
+    @property
+    def _available_thrust(self) -> float:
+        """The greatest collective thrust by the present effectiveness, N."""
+        return min(self._thrust_limit, self.effectiveness.value * self._thrust_map.thrust_max)
 
     def _measure_force(self, time: float, reference: Floats | None) -> None:
         """Update the external force, and the events that it shows. reference: state (13,) at this time, or None."""
@@ -329,7 +354,9 @@ class Flyer:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
             elif not observation.offboard:
                 present[Event.MODE_CHANGED] = f"to {observation.mode}"
-        return present
+                if (stood_still := self._attribution.standstill) > FAILSAFE_TIME:
+                    present[Event.MODE_CHANGED] += f", after this computer stood still for {stood_still:.1f} s"
+        return self._attribution.attribute(present) if self.engagement.flying else present
 
     def _rotor_findings(self, adaptation: Adaptation) -> dict[Event, str]:
         """Rotors that have lost thrust, or have a load under them: both take the same force at the same place away.
@@ -389,9 +416,8 @@ class Flyer:
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
-        given_up = was_flying and not self.engagement.streaming and facts.armed and facts.offboard
-        if given_up and self.mission.phase in LANDING:
-            decision.requests = (AutopilotRequest.LAND,)  # its failsafe may return to launch, and climb
+        if observation.stop:
+            decision.transitions += self.engagement.release(STOPPED, observation.time)
         if self.engagement.state is State.ENGAGED and not was_flying:
             self._begin(observation)
         if self.engagement.flying and self._state is not None:
@@ -425,6 +451,8 @@ class Flyer:
         if self.mission.phase is Phase.RAMP:
             self._ending.not_flown = reason
         self.mission.land(reason, self._state, time)
+        if self.events.sinks:
+            self.mission.sink(self._state, time)
 
     # --- setpoint
 
@@ -445,7 +473,10 @@ class Flyer:
             self._fly(observation, decision)
         if self.engagement.flying:
             self._look_for_ground(observation, decision.collective_thrust)
-        self._finish(observation, decision)
+        if self.engagement.streaming and decision.rate_body is not None:
+            self._finish(observation, decision, decision.rate_body)
+        else:
+            decision.rate_body = None
 
     def _stand_by(self, decision: Decision) -> None:
         """Setpoints before control is taken: idle on the ground, level and hovering in the air."""
@@ -461,7 +492,8 @@ class Flyer:
             self._land(self._chain.reason, observation.time)
             return
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
-        decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate, float(self._force[2]))
+        force = vertical(self._force, self._state[ATTITUDE])
+        decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate, force)
         if decision.collective_thrust > LEVELLING_SHARE * self._vehicle.weight:
             decision.rate_body = level_rate(self._state[ATTITUDE], gain=START_GAIN, limit=START_LIMIT)
         if self._ramp.failed:
@@ -472,8 +504,7 @@ class Flyer:
             self._pending[Event.TIPPING] = f"by {degrees(leaning):.0f} degrees since the motors started"
         if not self._ramp.lifted:
             return
-        settings = self._settings.thrust
-        self.effectiveness.start(self._ramp.effectiveness(settings.delay + settings.response_time))
+        self.effectiveness.start(self._ramp.effectiveness)
         self._hand_over = HandOver(observation.time, self._ramp.collective_thrust * self.effectiveness.value)
         self.mission.climb(self._state, observation.time)
         self._start_controller(observation.time)
@@ -482,8 +513,7 @@ class Flyer:
     def _shut_down(self, observation: ObservationRecord, decision: Decision) -> None:
         since = observation.time - self.mission.phase_started
         decision.rate_body = ZERO_RATE
-        share = max(0.0, 1.0 - since / SHUTDOWN_TIME)
-        decision.collective_thrust = share * min(self._last_setpoint[1], 0.5 * self._vehicle.weight)
+        decision.collective_thrust = self._settling.shut_down(since, self._last_setpoint[1])
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
             reason = self._ending.describe("and left to the autopilot to disarm")
@@ -503,30 +533,27 @@ class Flyer:
     def _take_thrust_away(self, time: float, cause: str = "") -> None:
         """cause: event after which the ground is probed in flight; empty in a landing."""
         assert self._state is not None
-        thrust, tilt = self._last_setpoint[1], tilt_of(self._state[ATTITUDE])
-        usual = self._ground.meter.usual.copy()
-        self._probe = GroundProbe(time, thrust, self._vehicle.weight, tilt=tilt, landing=not cause, usual=usual)
-        self._probe_cause = cause
+        self._settling.begin(self._state, self._last_setpoint[1], time, cause=cause)
         self.mission.settle(time)
 
     def _settle(self, observation: ObservationRecord, decision: Decision) -> None:
         """Level, with thrust going away, until the ground is known to carry the vehicle or not to be there."""
         assert self._state is not None
-        assert self._probe is not None
-        time, attitude = observation.time, self._state[ATTITUDE]
+        time, ground, state = observation.time, self._ground, self._state
         current = self._estimate is not None and self._health.is_current(self._estimate, time)
-        limit = min(self._rate_limit[:2]) if self._probe_cause else LEVEL_LIMIT
-        decision.rate_body = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
-        decision.collective_thrust = self._probe.thrust(time)
-        match self._probe.update(self._ground.meter.force, self._ground.meter.thrust, attitude, time):
+        low = ground.may_be_near(self.mission, state, reported_landed=observation.landed)
+        decision.rate_body, decision.collective_thrust, verdict = self._settling.command(
+            state, ground.meter, time, current=current, low=low
+        )
+        match verdict:
             case Ground.CARRIES:
-                if self._probe_cause:
-                    self._ending.crashed = self._pending[Event.CRASHED] = self._probe_cause
+                if cause := self._settling.cause or ground.blow:
+                    self._ending.crashed = self._pending[Event.CRASHED] = cause
                 self.mission.shut_down(time)
             case Ground.ABSENT:
                 self._pending[Event.CONTACT_LOST] = ""
                 self._hand_over = HandOver(time, decision.collective_thrust, CATCH_TIME)
-                self.mission.catch(self._state, time)
+                self.mission.catch(state, time)
                 self._start_controller(time)
             case Ground.OPEN:
                 pass
@@ -542,7 +569,10 @@ class Flyer:
         else:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
-        if self.mission.phase is Phase.TOUCHDOWN:
+        if self.events.sinks and self._state is not None:
+            # thrust stays the controller's, which takes all that there is while the vehicle sinks too fast
+            decision.rate_body = level_rate(self._state[ATTITUDE], gain=SINK_GAIN, limit=SINK_LIMIT)
+        elif self.mission.phase is Phase.TOUCHDOWN:
             decision.rate_body[:2] = np.clip(decision.rate_body[:2], -TOUCHDOWN_RATE, TOUCHDOWN_RATE)
         if self._hand_over is not None:
             decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
@@ -575,15 +605,46 @@ class Flyer:
         else:
             self._pending |= self._ground.missing_ground(time)
 
-    def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
-        """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
-        if decision.rate_body is None or not self.engagement.streaming:
-            decision.rate_body = None
+    # --- the end of the stream
+
+    def _part(self, observation: ObservationRecord, decision: Decision, *, flown: bool) -> None:
+        """Begin the last setpoints of a stream that has just ended, and hand a vehicle in the air to a mode that lands.
+
+        Its failsafe may return to launch, and climb. Who changed the mode, or commands the vehicle as well, keeps it.
+        """
+        if not observation.armed:
             return
-        limited = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
+        thrust = self._held_thrust(observation, flown=flown)
+        aloft = thrust >= self._vehicle.weight
+        self._parting.begin(observation.time, thrust, levels=aloft and observation.offboard)
+        if aloft and flown and observation.offboard and Event.OTHER_CONTROLLER not in self.events.active:
+            decision.requests = (AutopilotRequest.LAND,)
+
+    def _held_thrust(self, observation: ObservationRecord, *, flown: bool) -> float:
+        """Collective thrust that may be held when the stream ends now, N: the weight in the air, none on the ground."""
+        if not observation.armed:
+            return 0.0
+        if not flown:
+            return 0.0 if observation.landed or not self.engagement.initially_armed else self._vehicle.weight
+        if self.mission.airborne or (self.mission.phase is Phase.CONTACT and self._settling.cause):
+            return self._vehicle.weight
+        return self._last_setpoint[1] if self.mission.phase is Phase.CONTACT else 0.0
+
+    def _send_last(self, observation: ObservationRecord, decision: Decision) -> None:
+        if not observation.armed:
+            self._parting.cancel()
+        if self._parting.active:
+            rate_body, decision.collective_thrust = self._parting.command(observation.time)
+            self._finish(observation, decision, rate_body)
+
+    def _finish(self, observation: ObservationRecord, decision: Decision, rate_body: Floats) -> None:
+        """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
+        limited = zip(rate_body.tolist(), self._rate_limit, strict=True)
         decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in limited])
         decision.collective_thrust = min(max(decision.collective_thrust, 0.0), self._thrust_limit)
         decision.thrust = self._thrust_map.setpoint(decision.collective_thrust, self.effectiveness.value)
+        held = self._held_thrust(observation, flown=self.engagement.flying or self._parting.active)
+        decision.held_thrust = self._thrust_map.setpoint(held, self.effectiveness.value)
         self._last_setpoint = (decision.rate_body, decision.collective_thrust)
         self._sent = (decision.rate_body, decision.collective_thrust, decision.thrust, observation.time)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
-from runtime.flight.contact import ForceMeter, LandingContact
+from runtime.flight.contact import MEAN_TIME, ForceMeter, LandingContact
 from runtime.flight.crash import CrashDetector
 from runtime.flight.events import Event
 from runtime.flight.mission import LANDING, Mission, Phase
@@ -17,12 +19,16 @@ from runtime.link.estimate import StateEstimate
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
 SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
 SLOW_DESCENT = 0.4  # m/s
+LOW = 1.8  # m over the place of take-off by the estimate, off by 1.5 m at worst, below which there may be ground
+STRUCK = 1.5  # m/s of sinking, beyond any touch-down, that ends on something
+SINKING_TIME = 0.3  # s over which it counts
 
 
 class GroundContact:
     """The external force of a flight and what follows from it, phase by phase.
 
     meter: of the external force.
+    struck: m/s at which the vehicle has hit the ground; 0 for no faster than a landing does.
     """
 
     def __init__(self, vehicle: Vehicle, period: float) -> None:
@@ -33,11 +39,15 @@ class GroundContact:
         self._standing = LandingDetector(vehicle.weight)
         self._reference: Floats | None = None
         self._touch_down_since: float | None = None
+        self._climb_rates: deque[tuple[float, float]] = deque()
+        self.struck = 0.0
 
     def clear(self) -> None:
         """Start again, as on the ground."""
         self.meter.clear()
         self._crash.reset()
+        self._climb_rates.clear()
+        self.struck = 0.0
 
     def measure(
         self,
@@ -58,6 +68,7 @@ class GroundContact:
         self._reference = reference
         velocity = (estimate.time, estimate.velocity_world)
         self.meter.update(specific_force, thrust, estimate.attitude, velocity, time, missing_thrust=missing_thrust)
+        self._feel_blow(float(estimate.velocity_world[2]), time)
         settled = mission.phase is not Phase.CLIMB or time - mission.phase_started > SETTLED_START
         if mission.phase in LANDING or reference is None or not settled:
             self._crash.reset()
@@ -68,6 +79,27 @@ class GroundContact:
             distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
         present = self._crash.force(self.meter, estimate.velocity_world, time)
         return present | self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
+
+    def _feel_blow(self, climb_rate: float, time: float) -> None:
+        """Note how fast the vehicle was sinking when something stopped it. climb_rate: m/s. time: s."""
+        rates = self._climb_rates
+        rates.append((time, climb_rate))
+        while rates[0][0] < time - SINKING_TIME:
+            rates.popleft()
+        sinking = -min(rate for _, rate in rates)
+        if sinking > STRUCK and self.meter.force.up * MEAN_TIME > 0.5 * STRUCK:
+            self.struck = max(self.struck, sinking)
+
+    @property
+    def blow(self) -> str:
+        """The blow with which the vehicle reached the ground, in words; empty after a landing."""
+        return f"it hit the ground at {self.struck:.1f} m/s" if self.struck else ""
+
+    @staticmethod
+    def may_be_near(mission: Mission, state: Floats, *, reported_landed: bool) -> bool:
+        """Whether the estimated height, or the autopilot, allows for the ground. state: (13,)."""
+        height = mission.height(state)
+        return reported_landed or height is None or height < LOW
 
     def has_landed(
         self, phase: Phase, state: Floats, collective_thrust: float, time: float, *, reported_landed: bool

@@ -103,10 +103,14 @@ class FlightHealth:
         self._reset()
 
     def _reset(self) -> None:
+        self._restart_means()
+        self._chatter = RunningMean(self.limits.swing_time, 0.0)
+        self._miss_time: float | None = None
+
+    def _restart_means(self) -> None:
         limits = self.limits
         self._miss, self._swing = RunningMean(limits.following_time, 0.0), RunningMean(limits.swing_time, 0.0)
-        self._chatter = RunningMean(limits.swing_time, 0.0)
-        self._miss_time: float | None = None
+        self._compared_for = 0.0
 
     def sent(self, rate_body: Floats, collective_thrust: float, time: float) -> None:
         """Add a setpoint that was sent. rate_body: (3,) rad/s. collective_thrust: N. time: s."""
@@ -148,7 +152,7 @@ class FlightHealth:
         if self._thrust > 0.99 * self._thrust_max:
             present[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
         self._compare(state[RATE], time)
-        if self._miss.value > self.limits.unfollowed:
+        if self._miss.value > self.limits.unfollowed and self._compared_for >= self.limits.following_time:
             detail = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
             present[Event.SETPOINT_REFUSED] = detail
         chatter, swing = self.oscillation
@@ -173,7 +177,11 @@ class FlightHealth:
         if setpoint is None:
             return
         elapsed = 0.0 if self._miss_time is None else time - self._miss_time
+        if elapsed > self.limits.stale:  # nothing is known of the time between: the means begin again
+            self._restart_means()
+            elapsed = 0.0
         self._miss_time = time
+        self._compared_for += elapsed
         miss = float(np.linalg.norm(rate_body - setpoint))
         self._miss.add(miss, elapsed)
         self._swing.add(miss, elapsed)

@@ -36,6 +36,7 @@ class Phase(Enum):
 
 STILL = 0.3  # m/s below which braking is over
 MAX_BRAKE = 4.0  # s of braking, however fast the vehicle still is
+MAX_DRIFT = 0.1  # m sideways by which a vehicle that sinks may be off its reference
 MAX_LEAD = 0.3  # m by which the reference of a touch-down may be ahead of the estimate
 AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.CONTACT, Phase.SHUTDOWN})
 LANDING = (Phase.DESCEND, Phase.TOUCHDOWN)
@@ -133,6 +134,24 @@ class Mission:
             self._enter(Phase.SHUTDOWN, None, time)
         elif self.phase not in (*LANDING, Phase.CONTACT, Phase.SHUTDOWN):
             self._brake(state, time)
+
+    def sink(self, state: Floats, time: float) -> None:
+        """Descend at touch-down speed, without braking first; at every call the reference stays over the vehicle.
+
+        A controller that has to go elsewhere would give the thrust for it as well. state: (13,).
+        """
+        if not self.airborne:
+            return
+        here = self._takeoff_frame_pose(state)
+        if self.phase is not Phase.TOUCHDOWN:
+            self._touch_down(here, time)
+        elif float(np.linalg.norm((target := self._target(time))[:2] - here[:2])) > MAX_DRIFT:
+            here[2:] = target[2:]
+            self._touch_down(here, time)
+
+    def height(self, state: Floats) -> float | None:
+        """Estimated height over the place of take-off, m; None where it is not known. state: (13,)."""
+        return None if self._ground is None else float(self._takeoff_frame_pose(state)[2]) - self._ground
 
     def settle(self, time: float) -> None:
         """Take thrust away level, after a contact."""

@@ -6,13 +6,13 @@ milliseconds. So thrust rises slowly until the vehicle lifts off, and only then 
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from math import isfinite, nan
 
-from dynamics.vehicle import GRAVITY
+from runtime.flight.lift_off import LiftOffEvidence
+from runtime.flight.thrust import MAX_FILE_ERROR, MIN_FILE_ERROR
 
-RECENT = 0.1  # s over which the specific force is averaged at lift-off
+RESPONSE_TIME = 0.07  # s by which thrust follows its setpoint, delay included
 
 
 @dataclass(frozen=True)
@@ -21,25 +21,25 @@ class RampSettings:
 
     rise: s from zero thrust to the weight.
     spool: initial thrust per weight.
-    max_thrust: per weight.
+    max_thrust: per weight; what the vehicle needs whose file is as wrong as it can be.
     patience: s at the maximum thrust without lift-off.
     height: m above the lowest estimate of the ramp, since one that sinks at rest hides a lift-off; it requires more
         than that and than the climb rate.
     smoothing: s, of that estimate: noise is no sinking.
     climb_rate: m/s.
-    force: specific force along body z over gravity, mean over force_time, s, which lift-off requires more than where it
-        is measured: an estimate that drifts upward at rest is no lift-off.
+    evidence: log likelihood ratio of the accelerometer's samples that lift-off requires beside it, where they are
+        measured; and `certain`, which suffices alone.
     """
 
     rise: float = 1.5
     spool: float = 0.1
-    max_thrust: float = 1.6
+    max_thrust: float = 1.05 / MIN_FILE_ERROR
     patience: float = 1.0
     height: float = 0.04
     smoothing: float = 0.2
     climb_rate: float = 0.15
-    force: float = 1.07
-    force_time: float = 0.3
+    evidence: float = 12.0
+    certain: float = 30.0
 
 
 class TakeoffRamp:
@@ -50,8 +50,15 @@ class TakeoffRamp:
     collective_thrust: the present setpoint, N.
     """
 
-    def __init__(self, weight: float, thrust_max: float, settings: RampSettings | None = None) -> None:
-        """weight, thrust_max: N."""
+    def __init__(
+        self,
+        weight: float,
+        thrust_max: float,
+        settings: RampSettings | None = None,
+        *,
+        response_time: float = RESPONSE_TIME,
+    ) -> None:
+        """weight, thrust_max: N. response_time: s by which thrust follows its setpoint, delay included."""
         self._settings = settings or RampSettings()
         self._weight = weight
         self._max_thrust = min(self._settings.max_thrust * weight, 0.95 * thrust_max)
@@ -59,7 +66,8 @@ class TakeoffRamp:
         self._last = 0.0
         self._ground = self._smooth = 0.0
         self._rising = 0
-        self._forces: deque[tuple[float, float]] = deque()
+        self._response_time = response_time
+        self._evidence = LiftOffEvidence(weight)
         self._lift_height = 0.0
         self._lift_rate = 0.0
         self.lifted = False
@@ -69,60 +77,59 @@ class TakeoffRamp:
     def update(self, time: float, height: float, climb_rate: float, specific_force: float = nan) -> float:
         """Thrust setpoint at this time, N.
 
-        height: m, climb_rate: m/s, both world up. specific_force: along body z, m/s^2; NaN where none is new.
+        height: m, climb_rate: m/s, both world up. specific_force: vertical, m/s^2; NaN where none is new.
         """
         settings = self._settings
-        if isfinite(specific_force):
-            self._forces.append((time, specific_force))
-        while self._forces and self._forces[0][0] < time - settings.force_time:
-            self._forces.popleft()
         if self._started is None:
             self._started = self._last = time
             self._ground = self._smooth = height
         if self.lifted:
             return self.collective_thrust
+        elapsed = time - self._started
+        if isfinite(specific_force):
+            self._evidence.add(time, self._thrust_at(elapsed - self._response_time), specific_force)
         self._smooth += min((time - self._last) / settings.smoothing, 1.0) * (height - self._smooth)
         self._ground, self._last = min(self._ground, self._smooth), time
-        elapsed = time - self._started
-        ramp = (settings.spool + (1 - settings.spool) * elapsed / settings.rise) * self._weight
-        self.collective_thrust = min(ramp, self._max_thrust)
+        self.collective_thrust = self._thrust_at(elapsed)
         rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
-        self._rising = self._rising + 1 if rising else 0
+        self._rising = self._rising + 1 if rising else 0  # one estimate may be noise
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
-        # one estimate may be noise; below half the weight nothing lifts off
-        pushed = self._is_pushed
-        self.lifted = self._rising >= 3 and self.collective_thrust > 0.5 * self._weight and pushed
+        carried = self.collective_thrust * MAX_FILE_ERROR > self._weight
+        self.lifted = carried and self._has_left(rising=self._rising >= 3)
         time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
         self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience
         return self.collective_thrust
 
-    @property
-    def _is_pushed(self) -> bool:
-        """Whether the vehicle accelerates upward; true where nothing measures it."""
-        if not self._forces:
-            return True
-        mean = sum(force for _, force in self._forces) / len(self._forces)
-        return mean > self._settings.force * GRAVITY
+    def _thrust_at(self, elapsed: float) -> float:
+        """Setpoint at a time since the start, s, in N."""
+        settings = self._settings
+        share = settings.spool + (1 - settings.spool) * max(elapsed, 0.0) / settings.rise
+        return min(share * self._weight, self._max_thrust)
 
-    def effectiveness(self, response_time: float) -> float:
+    def _has_left(self, *, rising: bool) -> bool:
+        """Whether accelerometer and estimate agree that it has left the ground, or the former is certain."""
+        if not self._evidence.measured:
+            return rising
+        ratio, settings = self._evidence.ratio, self._settings
+        return ratio > settings.certain or (rising and ratio > settings.evidence)
+
+    @property
+    def effectiveness(self) -> float:
         """Thrust per modelled thrust at lift-off: by the accelerometer, or by the estimate where none is measured.
 
         By the estimate: while thrust rises steadily, height grows with the cube and climb rate with the square of the
         time since the vehicle left the ground, so that time is 3 height / climb rate. An estimate that drifted at rest
-        makes it too long. response_time: s by which thrust follows its setpoint.
+        makes it too long.
         """
         settings = self._settings
+        if self._evidence.measured:
+            return self._evidence.effectiveness
         slope = 0.0
         if self.collective_thrust < self._max_thrust:
             slope = (1 - settings.spool) * self._weight / settings.rise
-        if self._forces:
-            newest = self._forces[-1][0]
-            recent = [force for time, force in self._forces if time > newest - RECENT]
-            lag = 0.5 * RECENT + response_time
-            force = sum(recent) / len(recent) / GRAVITY * self._weight
-            return force / max(self.collective_thrust - slope * lag, 0.3 * self._weight)
-        since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + response_time
-        return self._weight / max(self.collective_thrust - slope * since, 0.3 * self._weight)
+        since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + self._response_time
+        value = self._weight / max(self.collective_thrust - slope * since, 0.3 * self._weight)
+        return min(max(value, MIN_FILE_ERROR), MAX_FILE_ERROR)
 
 
 @dataclass(frozen=True)

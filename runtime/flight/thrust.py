@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, isfinite, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 
 import msgspec
 import numpy as np
@@ -18,6 +18,11 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY, Rotors
 
+# The effectiveness by which a file that somebody weighed and measured is wrong at lift-off. Thrust goes with the square
+# of the voltage: a full cell has 4.2 V and an empty one 3.4 V where constants are given for 3.7 V, factors of 1.29 and
+# 0.84. A propeller of another make gives 20 % more or less, a battery or a load 25 % of mass. All three at their worst
+# are 1.29 x 1.2 / 0.75 = 2.1 and 0.84 x 0.8 / 1.25 = 0.54, as independent errors 1.5 and 0.7.
+MIN_FILE_ERROR, MAX_FILE_ERROR = 0.55, 1.65
 PAST_STEP = 0.05  # s between the values that are kept
 THRUST_CURVE = "THR_MDL_FAC"  # the autopilot's parameter f
 
@@ -79,6 +84,18 @@ def specific_force_z(
     return float(quaternion.rotate_inverse(attitude, acceleration)[2])
 
 
+def vertical(specific_force: Floats, attitude: Floats) -> float:
+    """Vertical part of a specific force, m/s^2; of its part along body z where no other is measured, NaN without it.
+
+    specific_force: (3,) m/s^2, body, NaN for an axis that is not measured. attitude: (4,).
+    """
+    if not isfinite(specific_force[2]):
+        return nan
+    if np.all(np.isfinite(specific_force)):
+        return float(quaternion.rotate(attitude, specific_force)[2])
+    return float(specific_force[2])
+
+
 class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The effectiveness filter's noise and limits.
 
@@ -104,7 +121,7 @@ class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     gate: float = 3.0
     patience: float = 1.0
     minimum: float = msgspec.field(default=0.4, name="least")
-    maximum: float = msgspec.field(default=1.8, name="greatest")
+    maximum: float = msgspec.field(default=MAX_FILE_ERROR, name="greatest")
 
 
 class ThrustResponse:
@@ -143,6 +160,50 @@ class ThrustResponse:
         self.thrust += (self.target - self.thrust) * (1 - exp(-duration / self._settings.response_time))
 
 
+class ThrustLoss:
+    """Whether thrust has gone for good: for a fifth of a second the specific force lacks more than shocks explain.
+
+    Nothing that a vehicle meets takes specific force away for so long without holding it down, and neither does the
+    ground. A filter's gate would reject it as a shock, and what flies would take it for a force from outside.
+    """
+
+    TIME = 0.2  # s
+    SHARE = 0.15  # of the modelled thrust that may be missing
+    DEVIATIONS = 3.0  # of a mean, by which noise may take it away
+    MAX_FORCE = 1000.0  # m/s^2 that a sensor can show
+    DRAG = 2.0  # m/s^2 per m/s of climb, which is no loss
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float, float, float]] = deque()
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._samples.clear()
+
+    def update(
+        self, time: float, specific_force: float, modelled: float, value: float, *, changing: float, climb: float
+    ) -> float:
+        """The share of thrust that is left, 1 where none is lost.
+
+        time: s. specific_force, modelled: along body z, at effectiveness 1, m/s^2. value: the effectiveness.
+        changing: thrust that is still to follow its setpoint, m/s^2. climb: along body z, m/s.
+        """
+        samples, doubt = self._samples, self.DRAG * max(climb, 0.0) + 0.5 * changing
+        samples.append((time, min(max(specific_force, -self.MAX_FORCE), self.MAX_FORCE), modelled, doubt))
+        while samples[0][0] < time - self.TIME - 1e-6:
+            samples.popleft()
+        if time - samples[0][0] < 0.9 * self.TIME:
+            return 1.0
+        table = np.array(samples)[:, 1:]
+        noise = sqrt(0.5 * float(np.mean(np.diff(table[:, 0]) ** 2)))
+        for half in np.array_split(table, 2):  # a shock is over before both lack it
+            felt, thrust, doubted = np.mean(half, axis=0).tolist()
+            if felt + doubted + self.DEVIATIONS * noise / sqrt(len(half)) > (1.0 - self.SHARE) * value * thrust:
+                return 1.0
+        self.clear()
+        return max(float(felt) / (value * float(thrust)), 0.0)
+
+
 class EffectivenessEstimator:
     """Thrust per modelled thrust, a one-state Kalman filter on the specific force along body z.
 
@@ -151,6 +212,8 @@ class EffectivenessEstimator:
 
     value: k. initial: the same at lift-off.
     """
+
+    SETTLING = 1.0  # s after a loss, in which the filter follows in a landing as well: a fifth of a second is noisy
 
     def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
         """mass: kg, of the controller's model; an error of it is part of the effectiveness."""
@@ -162,6 +225,8 @@ class EffectivenessEstimator:
 
     def start(self, value: float) -> None:
         """Restart from a value, as at lift-off."""
+        self._settled = -inf
+        self._loss = ThrustLoss()
         self.value = self.initial = self._bounded(value)
         self.variance = self._settings.initial_deviation**2
         self.rejected = 0
@@ -185,8 +250,14 @@ class EffectivenessEstimator:
         """The collective thrust at a time, s, by the setpoints sent and the present effectiveness, N."""
         return self.value * self._response.advance(time)
 
-    def measure(self, specific_force: float, time: float, speed: float = 0.0) -> bool:
-        """Take a specific force along body z, m/s^2, measured in flight. speed: m/s. Returns whether it was used."""
+    def measure(
+        self, specific_force: float, time: float, speed: float = 0.0, *, climb: float = 0.0, landing: bool = False
+    ) -> bool:
+        """Take a specific force along body z, m/s^2, measured in flight. Returns whether it was used.
+
+        speed: m/s. climb: velocity along body z, m/s. landing: whether the ground may carry a part of the weight, which
+        looks like more thrust; then only a loss of it counts, and what follows within a second.
+        """
         settings = self._settings
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
         self._time = time
@@ -194,6 +265,14 @@ class EffectivenessEstimator:
         # specific force at effectiveness 1: the measurement's derivative
         modelled = self._response.advance(time) / self._mass
         if not isfinite(specific_force) or modelled < 0.3 * GRAVITY:
+            self._loss.clear()
+            return False
+        changing = abs(self._response.target - self._response.thrust) / self._mass
+        left = self._loss.update(time, specific_force, modelled, self.value, changing=changing, climb=climb)
+        if left < 1.0:
+            self._restart(left * self.value, time)
+            return True
+        if landing and time > self._settled:
             return False
         uncertain_response = settings.timing * (self._response.target - self._response.thrust) / self._mass
         noise = settings.measurement_noise**2 * (1 + (speed / settings.speed) ** 2) ** 2 + uncertain_response**2
@@ -209,6 +288,13 @@ class EffectivenessEstimator:
         if not self._past or time - self._past[-1][0] >= PAST_STEP:
             self._past.append((time, self.value))
         return True
+
+    def _restart(self, value: float, time: float) -> None:
+        """Continue from a value that is as uncertain as at lift-off."""
+        self.value, self.variance = self._bounded(value), self._settings.initial_deviation**2
+        self._rejected_since = None
+        self._settled = time + self.SETTLING
+        self._past.append((time, self.value))
 
     def _reject(self, time: float) -> None:
         self.rejected += 1

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from runtime.link.dialect import Message, mavlink, x25crc
+import re
+
+from fastcrc.crc16 import mcrf4xx
+
+from runtime.link.dialect import Message, mavlink
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+_MAGIC = (MAGIC_V1, MAGIC_V2)
+_HEADER = re.compile(rb"\xfe|\xfd(?:.[\x00\x01]|.?\Z)", re.DOTALL)  # of version 2 with flags that are defined
+_MAX_PAYLOAD = 255
 _HEADER_V1, _HEADER_V2, _CHECKSUM = 6, 10, 2
 _SIGNED = 0x01
 _MIN_FRAME = _HEADER_V1 + _CHECKSUM
+_CHECKSUM_EXTRA = {number: bytes((kind.crc_extra,)) for number, kind in mavlink.mavlink_map.items()}
+_SIZES = {number: kind.unpacker.size for number, kind in mavlink.mavlink_map.items()}  # of payloads
 _DECODER = mavlink.MAVLink(None)  # keeps no state between calls of decode
 
 
@@ -29,7 +38,7 @@ class Frame:
             self.message_id = data[7] | data[8] << 8 | data[9] << 16
         else:
             self.system, self.component, self.message_id = data[3], data[4], data[5]
-        self.is_known = self.message_id in mavlink.mavlink_map
+        self.is_known = self.message_id in _CHECKSUM_EXTRA
         self._message: Message | None = None
 
     @property
@@ -47,10 +56,11 @@ class Frame:
 
 
 class FrameParser:
-    """Splits bytes into frames and finds the next frame after bytes that are none.
+    """Splits bytes into frames and finds the next frame after bytes that are none, in time linear in their number.
 
-    pymavlink's own parser drops all bytes that a false start claims; this one continues at the byte after it, so
-    that no good frame is lost behind a bad one.
+    pymavlink's own parser drops all bytes that a false start claims; this one continues behind its marker, so that
+    no good frame is lost behind a bad one. The next marker is found by a search of its own; a place where a frame
+    could start is checked once, from its header to its checksum, before anything is copied or decoded.
 
     frames: found so far.
     unknown: of those, without a definition.
@@ -58,7 +68,7 @@ class FrameParser:
     """
 
     def __init__(self) -> None:
-        self._pending = bytearray()
+        self._pending = b""
         self.frames = 0
         self.unknown = 0
         self.skipped_bytes = 0
@@ -66,54 +76,32 @@ class FrameParser:
     def feed(self, data: bytes) -> list[Frame]:
         """The frames completed by these bytes, oldest first."""
         frames: list[Frame] = []
-        if self._pending and self._starts_with_frame(data):
+        if self._pending and _starts_with_known_frame(data):
             # a frame at the start of a packet: the pending one was cut off and will never be completed
-            frames = self._take(to_the_end=True)
-        self._pending += data
-        return frames + self._take(to_the_end=False)
+            frames = self._take(self._pending, cut_off=True)
+        return frames + self._take(self._pending + data, cut_off=False)
 
-    def _starts_with_frame(self, data: bytes) -> bool:
-        frame = self._frame_at(bytearray(data), 0)[0] if data else None
-        return frame is not None and frame.is_known
-
-    def _take(self, *, to_the_end: bool) -> list[Frame]:
-        """The frames among the pending bytes. to_the_end: an incomplete one counts as skipped bytes."""
+    def _take(self, data: bytes, *, cut_off: bool) -> list[Frame]:
+        """The frames among these bytes; an incomplete one at their end is pending, or skipped if it was cut off."""
         frames: list[Frame] = []
-        position, end = 0, len(self._pending)
+        position, end = 0, len(data)
         while position < end:
-            frame, used = self._frame_at(self._pending, position)
-            if frame is not None:
+            length = _length_of_frame(data, position) if data[position] in _MAGIC else 0
+            if length:
+                frame = Frame(data[position : position + length])
                 frames.append(frame)
                 self.frames += 1
                 self.unknown += not frame.is_known
-            elif used or to_the_end:
-                used = used or 1
-                self.skipped_bytes += used
+                position += length
+            elif length == 0 or cut_off:
+                marker = _HEADER.search(data, position + 1)
+                following = marker.start() if marker else end
+                self.skipped_bytes += following - position
+                position = following
             else:
                 break
-            position += used
-        del self._pending[:position]
+        self._pending = data[position:]
         return frames
-
-    def _frame_at(self, buffer: bytearray, start: int) -> tuple[Frame | None, int]:
-        """The frame that starts here and its length, or None and the bytes to skip (0: it is incomplete yet)."""
-        magic = buffer[start]
-        if magic not in (MAGIC_V1, MAGIC_V2):
-            following = [at for at in (buffer.find(MAGIC_V2, start), buffer.find(MAGIC_V1, start)) if at >= 0]
-            return None, (min(following) if following else len(buffer)) - start
-        available, length = len(buffer) - start, frame_length(buffer, start)
-        if length is None:
-            return None, 0
-        if magic == MAGIC_V2 and buffer[start + 2] & ~_SIGNED:
-            return None, 1
-        if available < length:
-            return None, 0
-        frame = Frame(bytes(buffer[start : start + length]))
-        if frame.is_known:
-            return (frame, length) if _checksum_is_right(frame) else (None, 1)
-        if available > length and buffer[start + length] not in (MAGIC_V1, MAGIC_V2):
-            return None, 1  # its checksum cannot be verified, and no frame follows it
-        return frame, length
 
 
 def frame_length(data: bytes | bytearray, start: int) -> int | None:
@@ -126,7 +114,32 @@ def frame_length(data: bytes | bytearray, start: int) -> int | None:
     return int(_HEADER_V2 + data[start + 1] + _CHECKSUM + signature)
 
 
-def _checksum_is_right(frame: Frame) -> bool:
-    end = (_HEADER_V2 if frame.data[0] == MAGIC_V2 else _HEADER_V1) + frame.data[1]
-    crc = x25crc(frame.data[1:end] + bytes((mavlink.mavlink_map[frame.message_id].crc_extra,)))
-    return bool(crc.crc == frame.data[end] | frame.data[end + 1] << 8)
+def _length_of_frame(data: bytes, start: int) -> int | None:
+    """Length of the frame that starts at this marker: 0 if none does, None if it is incomplete yet."""
+    length = frame_length(data, start)
+    if length is None:
+        return None
+    if data[start] == MAGIC_V1:
+        header, message_id = _HEADER_V1, data[start + 5]
+        if data[start + 1] > _SIZES.get(message_id, _MAX_PAYLOAD):
+            return 0  # version 1 knows no longer form of a message
+    elif data[start + 2] & ~_SIGNED:
+        return 0
+    elif len(data) - start < _HEADER_V2:
+        return None
+    else:
+        header, message_id = _HEADER_V2, data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
+    if len(data) - start < length:
+        return None
+    extra = _CHECKSUM_EXTRA.get(message_id)
+    if extra is None:  # its checksum cannot be verified: taken only where another frame or nothing follows it
+        return length if start + length == len(data) or data[start + length] in _MAGIC else 0
+    end = start + header + data[start + 1]
+    return length if mcrf4xx(data[start + 1 : end] + extra) == data[end] | data[end + 1] << 8 else 0
+
+
+def _starts_with_known_frame(data: bytes) -> bool:
+    if not data or data[0] not in _MAGIC:
+        return False
+    length = _length_of_frame(data, 0)
+    return bool(length) and Frame(data[:length]).is_known

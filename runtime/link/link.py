@@ -23,7 +23,8 @@ from runtime.link.framing import Frame, FrameParser
 from runtime.link.peer import Peer, Reaction
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
-from runtime.link.transport import Address, Transport, TransportLostError, open_transport
+from runtime.link.transport import Transport, TransportLostError, open_transport
+from runtime.link.vehicle_source import Address, VehicleSource
 
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
@@ -32,12 +33,15 @@ _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: bod
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
 _MAX_BATCH = 32  # frames read before they are handled
+_OTHERS_PERIOD = 0.02  # s between datagrams from elsewhere than the vehicle's address, whatever a stranger sends
+CANDIDATES_TIME = 2.0  # s in which other vehicles on the link must be heard: two periods of HEARTBEAT
 
 
 class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Our identity on the link, the vehicle's, and our periods, s.
 
     target_system: the vehicle's system id, None for the first autopilot heard.
+    roaming: whether the vehicle may continue from another address after a silence.
     own_system: None for the vehicle's own, as a companion on board.
     own_component: MAVLink's component id.
     gcs_heartbeat: whether to send a ground station's heartbeat, without which PX4 sends no STATUSTEXT; one that stops
@@ -49,6 +53,7 @@ class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     target_system: int | None = None
+    roaming: bool = False
     own_system: int | None = None
     own_component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
     gcs_heartbeat: bool = False
@@ -82,6 +87,7 @@ class Link:
     the event link_lost, and the device is opened again once it is back.
 
     peer: the vehicle, as far as it was heard.
+    source: the address that the vehicle sends from.
     parser: of the incoming bytes.
     """
 
@@ -91,6 +97,7 @@ class Link:
         self.endpoint = endpoint
         self.settings = settings or LinkSettings()
         self.peer = Peer(self.settings.target_system)
+        self.source = VehicleSource(roaming=self.settings.roaming)
         self.parser = FrameParser()
         self._callbacks = callbacks or LinkCallbacks()
         self._transport: Transport = open_transport(endpoint)
@@ -103,7 +110,8 @@ class Link:
         self._vehicle_found = threading.Event()
         self._listeners: tuple[Callable[[Message], None], ...] = ()
         self._text_identities = itertools.count(1)
-        self._next_heartbeat = self._next_timesync = float("-inf")
+        self._next_heartbeat = self._next_timesync = self._next_other = float("-inf")
+        self._fixes_at: float | None = None
         self._silent = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
@@ -175,6 +183,22 @@ class Link:
             raise VehicleError(self._explain_silence(timeout))
         return self.peer.status
 
+    def require_one_vehicle(self) -> None:
+        """Wait until any other vehicle on the link was heard, CANDIDATES_TIME from the first one's heartbeat on.
+
+        Raises VehicleError if there are several and none was chosen by its system id.
+        """
+        if self.settings.target_system is not None:
+            return
+        self._stop.wait(max(0.0, self.peer.first_heartbeat + CANDIDATES_TIME - time.monotonic()))
+        candidates = self.peer.candidates
+        if len(candidates) > 1:
+            listed = ", ".join(f"system {s}, component {c} ({what})" for (s, c), what in sorted(candidates.items()))
+            raise VehicleError(
+                f"{len(candidates)} vehicles are on {self.endpoint}: {listed}. Nothing was sent to fly. "
+                f"Choose one: --system {min(candidates)[0]}, or give each its own port."
+            )
+
     def _explain_silence(self, timeout: float) -> str:
         heard = self.peer.heard
         who = ", ".join(f"{system}/{component} ({what})" for (system, component), what in sorted(heard.items()))
@@ -188,7 +212,8 @@ class Link:
         what = "bytes that are no MAVLink, wrong baud rate?" if self.parser.skipped_bytes else "nothing at all"
         return (
             f"No MAVLink arrived on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
-            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), a telemetry port "
+            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), 127.0.0.1 hears this "
+            "machine alone (0.0.0.0 or --link with your own address: the network), a telemetry port "
             "needs MAV_1_CONFIG set and the same baud rate at both ends, and a firewall may drop UDP."
         )
 
@@ -205,10 +230,15 @@ class Link:
         rate_body: FLU, rad/s. thrust: 0..1, clipped. Returns whether it was sent: a value that is not finite is
         refused, because PX4 counts it as a sign of life (docs/px4.md).
         """
-        x, y, z = (float(value) for value in rate_body)
-        if not (isfinite(x) and isfinite(y) and isfinite(z) and isfinite(thrust)):
+        if not (all(map(isfinite, rate_body)) and isfinite(thrust)):
             return False
-        message = mavlink.MAVLink_set_attitude_target_message(
+        message = self.rate_setpoint(rate_body, thrust)
+        return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
+
+    def rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> Message:
+        """SET_ATTITUDE_TARGET with body rates, FLU, rad/s, and thrust, 0..1, clipped; all finite."""
+        x, y, z = (float(value) for value in rate_body)
+        return mavlink.MAVLink_set_attitude_target_message(
             int(time.monotonic() * 1e3) & 0xFFFFFFFF,
             *(self.peer.address or (0, 0)),
             _RATES_AND_THRUST,
@@ -218,7 +248,6 @@ class Link:
             -z,
             min(1.0, max(0.0, float(thrust))),
         )
-        return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
 
     def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT of any length."""
@@ -297,6 +326,7 @@ class Link:
                     self._handle(frame, received, source)
                 except Exception as error:  # a defect of ours must not take the link down in flight
                     self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
+            self._hear_others(time.monotonic())
 
     def _receive(self) -> list[tuple[Frame, float, Address | None]]:
         """The frames that have arrived, state estimates first: autopilots send in bursts, and the others can wait."""
@@ -312,15 +342,31 @@ class Link:
             batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
         return batch
 
+    def _hear_others(self, now: float) -> None:
+        """Handle a datagram from elsewhere than the vehicle's address, one in _OTHERS_PERIOD however many there are."""
+        if now < self._next_other:
+            return
+        self._next_other = now + _OTHERS_PERIOD
+        if self._fixes_at is not None and now >= self._fixes_at:
+            self._fixes_at = None
+            self._transport.keep_to_peer()
+        received = self._transport.receive_other()
+        if received is not None:
+            for frame in FrameParser().feed(received.data):  # a stranger's half frame is in nobody's way
+                self._handle(frame, received.time, received.source)
+
     def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
+        if (frame.system, frame.component) == self.peer.address and not self._comes_from_vehicle(received, source):
+            return
         reaction = self.peer.handle(frame, received)
         if reaction.reset is not None and self._callbacks.reset is not None:
             self._callbacks.reset(reaction.reset)
         if reaction.estimate is not None:
             self._publish_estimate(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
-            self._transport.set_peer(source)
             if not self._vehicle_found.is_set():
+                self._comes_from_vehicle(received, source)
+                self._fixes_at = received + CANDIDATES_TIME  # until then other vehicles must be heard
                 self._vehicle_found.set()
                 self._next_heartbeat = float("-inf")  # before, there was no address to send one to
             for answer in reaction.answers:
@@ -328,6 +374,20 @@ class Link:
             for listener in self._listeners:
                 listener(frame.message)
         self._call_back(frame, received, reaction)
+
+    def _comes_from_vehicle(self, received: float, source: Address | None) -> bool:
+        """Whether a frame with the vehicle's ids is the vehicle's; strangers are counted and reported once."""
+        if self.source.accepts(source, received):
+            self._transport.set_peer(source)
+            return True
+        if self.source.rejected == 1 and self.source.address is not None:
+            host, port = source or ("?", 0)
+            text = (
+                f"{host}:{port} sends with the ids of vehicle {self.peer.address}, which is heard from "
+                f"{self.source.address[0]}:{self.source.address[1]}; it is not followed."
+            )
+            self._publish_event(received, "stranger_on_link", "warning", text)
+        return False
 
     def _publish_estimate(self, estimate: StateEstimate) -> None:
         self._estimate = estimate

@@ -55,11 +55,13 @@ def check_link(
     request_mode: whether to request a disarmed vehicle's present mode once more, to count the acknowledgements. A mode
         switched since its last heartbeat would be taken back.
     vehicle: what the autopilot's parameters must agree with, None to leave that out.
-    Raises VehicleError when no vehicle is heard, RequestError for a message that does not exist.
+    Raises VehicleError when no vehicle is heard, or several without target_system, RequestError for a message that does
+    not exist.
     """
     events: list[LinkEvent] = []
     with Link(endpoint, LinkSettings(target_system=target_system), LinkCallbacks(event=events.append)) as link:
         link.wait_for_vehicle(timeout)
+        link.require_one_vehicle()
         time.sleep(window)
         before = {name: link.peer.rates.rate(name, time.monotonic(), window).rate for name in streams}
         answers = commands.request_rates(link, streams)

@@ -14,6 +14,7 @@ from runtime.link.telemetry import LinkEvent, VehicleStatus
 
 MIN_RATE_SHARE = 0.9  # of the requested rate
 MAX_ROUND_TRIP = 0.02  # s
+_REFUSING_EVENTS = ("estimate_frame_refused", "estimate_stamp_ahead")
 _EXPECTED_EVENTS = ("mode_changed", "vehicle_found", "landed_state", "armed", "disarmed", "vehicle_heard_again")
 
 
@@ -185,8 +186,6 @@ def _parameter_problems(values: Mapping[str, float | str]) -> list[Problem]:
 def _event_problems(events: tuple[LinkEvent, ...]) -> list[Problem]:
     texts = {event.name: event for event in events if event.name not in _EXPECTED_EVENTS}
     return [
-        Problem(
-            "error" if event.severity == "error" or event.name == "estimate_frame_refused" else "warning", event.text
-        )
+        Problem("error" if event.severity == "error" or event.name in _REFUSING_EVENTS else "warning", event.text)
         for event in texts.values()
     ]

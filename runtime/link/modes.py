@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+OFFBOARD = "OFFBOARD"
 MAIN_MODES: dict[int, str] = {
-    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE",
+    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: OFFBOARD, 7: "STABILIZED", 8: "RATTITUDE",
     9: "SIMPLE", 10: "TERMINATION", 11: "ALTITUDE_CRUISE",
 }  # fmt: skip
 AUTO_MODES: dict[int, str] = {

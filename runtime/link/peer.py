@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import nan
 
 import msgspec
 
+from dynamics.autopilot import is_autopilot
 from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
-from runtime.link.dialect import Message, mavlink
+from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link.estimate import EstimateCheck, EstimateLimits, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.framing import Frame
 from runtime.link.odometry import Odometry, read_odometry
 from runtime.link.rates import RateMeter
+from runtime.link.setpoint_echo import SETPOINTS, SetpointReport
 from runtime.link.telemetry import BatterySample, LinkEvent, LinkSeverity, Telemetry, Text, VehicleStatus
 from runtime.link.texts import TextAssembler
+from runtime.link.unconfirmed_change import UnconfirmedChange
 
 _EVENT_PERIOD = 1.0  # s until an event of the same name is published again
 _MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
-_NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
+_MAX_STAMP_AHEAD = 0.1  # s; PX4's own simulation steps its clock by up to 18 ms, and an exchange errs by less
+_SETPOINT_IDS = frozenset(MESSAGE_IDS[name] for name in SETPOINTS)
 
 
 class Reaction(msgspec.Struct):
@@ -30,6 +35,7 @@ class Reaction(msgspec.Struct):
     answers: messages to send.
     events: of the link.
     texts: complete STATUSTEXTs.
+    setpoint: that the autopilot reports to follow, or that another sender sends.
     """
 
     estimate: StateEstimate | None = None
@@ -38,6 +44,7 @@ class Reaction(msgspec.Struct):
     answers: list[Message] = []
     events: list[LinkEvent] = []
     texts: list[Text] = []
+    setpoint: SetpointReport | None = None
 
 
 class Peer:
@@ -46,8 +53,10 @@ class Peer:
     Pure: no socket and no clock, so that it reads a recording as it reads a link.
 
     address: system and component of the vehicle, None before its first heartbeat.
+    first_heartbeat: when it came, s on our clock.
     last_heard: s on our clock.
     heard: every sender by system and component.
+    candidates: of them, those whose heartbeat is an autopilot's.
     clock: the vehicle's.
     estimates: their checks.
     rates: of its messages.
@@ -62,13 +71,15 @@ class Peer:
         self._status = VehicleStatus()
         self._texts = TextAssembler()
         self._published: dict[str, tuple[float, int]] = {}
-        self.last_heard = float("-inf")
+        self.last_heard = self.first_heartbeat = float("-inf")
         self.heard: dict[tuple[int, int], str] = {}
+        self.candidates: dict[tuple[int, int], str] = {}
         self.clock = VehicleClock()
         self.estimates = EstimateMonitor(estimate_limits)
         self.rates = RateMeter()
         self.latest: dict[type[Telemetry], Telemetry] = {}
         self.odometry_frames: tuple[int, int] | None = None
+        self._disarming, self._mode_change = UnconfirmedChange(), UnconfirmedChange()
         self._handlers: dict[str, Callable[[Message, float, Reaction], None]] = {
             "ATTITUDE_QUATERNION": self._handle_attitude,
             "LOCAL_POSITION_NED": self._handle_local_position,
@@ -77,6 +88,7 @@ class Peer:
             "EXTENDED_SYS_STATE": self._handle_extended_state,
             "CURRENT_MODE": self._handle_current_mode,
             "STATUSTEXT": self._handle_text,
+            "ATTITUDE_TARGET": self._handle_attitude_target,
         }
 
     @property
@@ -93,6 +105,8 @@ class Peer:
             self._discover(frame.system, frame.component, frame.message, received, reaction)
         if (frame.system, frame.component) != self.address:
             self.heard.setdefault((frame.system, frame.component), "no heartbeat yet")
+            if frame.message_id in _SETPOINT_IDS:
+                reaction.setpoint = _overheard(frame, received)
             return reaction
         self.last_heard = received
         self.rates.handle(frame.message_id, received)
@@ -133,20 +147,34 @@ class Peer:
         """Our time of a vehicle stamp, s, not after its arrival, and whether it is from the vehicle's clock."""
         if self.clock.is_valid(received):
             time = self.clock.to_ours(remote)
-            if abs(received - time) < _MAX_STAMP_AGE:
+            if time - _MAX_STAMP_AHEAD < received < time + _MAX_STAMP_AGE:
                 return min(time, received), True
         return received, False
+
+    def _check_stamp(self, message: str, remote: float, received: float, reaction: Reaction) -> None:
+        """Report a stamp of an estimate that lies in the future: its age is not known, and none is made up for it."""
+        if not self.clock.is_valid(received):
+            return
+        lead = self.clock.to_ours(remote) - received
+        if lead > _MAX_STAMP_AHEAD:
+            text = (
+                f"{message} is stamped {lead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: "
+                "its age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
+            )
+            reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)
 
     def _discover(self, system: int, component: int, message: Message, received: float, reaction: Reaction) -> None:
         kind = telemetry.enum_name("MAV_TYPE", message.type, "MAV_TYPE_")
         autopilot = telemetry.enum_name("MAV_AUTOPILOT", message.autopilot, "MAV_AUTOPILOT_")
         self.heard[system, component] = f"{kind}, {autopilot}"
-        is_autopilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type not in _NOT_AUTOPILOTS
-        if not is_autopilot or self._target_system not in (None, system):
+        if not is_autopilot(component, message.type, message.autopilot):
+            return
+        self.candidates[system, component] = self.heard[system, component]
+        if self._target_system not in (None, system):
             return
         if not self._status.is_known:
             self._status = VehicleStatus(system=system, component=component, autopilot=autopilot, kind=kind)
-            self.address = (system, component)
+            self.address, self.first_heartbeat = (system, component), received
             text = f"Vehicle {system}, component {component}: {kind} with {autopilot}."
             reaction.events += self.limit_event(received, "vehicle_found", "info", text)
         elif (system, component) != self.address:
@@ -156,16 +184,30 @@ class Peer:
     def _handle_heartbeat(self, message: Message, received: float, reaction: Reaction) -> None:
         before = self._status
         reaction.texts += self._texts.expire(received)
-        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        armed = self._believed_armed(bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), received, reaction)
         status = telemetry.enum_name("MAV_STATE", message.system_status, "MAV_STATE_")
         self._status = msgspec.structs.replace(before, armed=armed, system_status=status, last_heartbeat=received)
         self._set_mode(message.custom_mode, received, reaction)
         if armed != before.armed:
-            name = "armed" if armed else "disarmed"
-            reaction.events.append(LinkEvent(received, name, "info", f"The vehicle is {name}."))
+            _add_arming_event(armed, received, reaction)
         if status != before.system_status and status in ("critical", "emergency", "flight_termination"):
-            text = f"The vehicle reports the state {status}, in mode {self._status.mode}."
+            mode = modes.mode_name(*modes.split_custom_mode(message.custom_mode))
+            text = f"The vehicle reports the state {status}, in mode {mode}."
             reaction.events.append(LinkEvent(received, "vehicle_critical", "error", text))
+
+    def _believed_armed(self, reported: bool, received: float, reaction: Reaction) -> bool:
+        if reported:
+            self._disarming.contradict()
+            return True
+        return self._status.armed and not self._believes(self._disarming, "disarmed", received, reaction)
+
+    def _believes(self, change: UnconfirmedChange, value: object, received: float, reaction: Reaction) -> bool:
+        """Whether a change that ends the stream in the air has two witnesses; after the first a second is requested."""
+        if change.reported(value, received) or self._status.landed == "on_ground":
+            return True
+        request = (mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0, 0, 0, 0, 0, 0)
+        reaction.answers.append(mavlink.MAVLink_command_long_message(*(self.address or (0, 0)), *request))
+        return False
 
     def _handle_current_mode(self, message: Message, received: float, reaction: Reaction) -> None:
         if message.custom_mode:
@@ -176,6 +218,10 @@ class Peer:
         main, sub = modes.split_custom_mode(custom_mode)
         mode = modes.mode_name(main, sub)
         if mode == before:
+            self._mode_change.contradict()
+            return
+        in_offboard = self._status.armed and before == modes.OFFBOARD
+        if in_offboard and not self._believes(self._mode_change, mode, received, reaction):
             return
         self._status = msgspec.structs.replace(self._status, main_mode=main, sub_mode=sub, mode=mode)
         if before != "unknown":
@@ -187,9 +233,15 @@ class Peer:
         if landed != self._status.landed:
             self._status = msgspec.structs.replace(self._status, landed=landed)
             reaction.events.append(LinkEvent(received, "landed_state", "info", f"Landed state: {landed}."))
+        if landed == "on_ground" and self._status.armed and self._disarming.is_pending("disarmed", received):
+            self._status = msgspec.structs.replace(self._status, armed=False)
+            _add_arming_event(False, received, reaction)
 
     def _handle_text(self, message: Message, received: float, reaction: Reaction) -> None:
         reaction.texts += self._texts.handle(message, received)
+
+    def _handle_attitude_target(self, message: Message, received: float, reaction: Reaction) -> None:
+        reaction.setpoint = SetpointReport(received, _rates_of(message), message.thrust)
 
     def _handle_timesync(self, message: Message, received: float, reaction: Reaction) -> None:
         if message.tc1 == 0:
@@ -212,6 +264,7 @@ class Peer:
 
     def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
         self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
+        self._check_stamp("ODOMETRY", odometry.time, received, reaction)
         time, synchronised = self._synchronised(odometry.time, received)
         self._take(self.estimates.handle_odometry(odometry, time, received, synchronised), received, reaction)
 
@@ -222,9 +275,27 @@ class Peer:
         time, synchronised = self._synchronised(message.time_boot_ms * 1e-3, received)
         check = self.estimates.handle_attitude(message, time, received, synchronised)
         if check is not None:
+            self._check_stamp("ATTITUDE_QUATERNION", message.time_boot_ms * 1e-3, received, reaction)
             self._take(check, received, reaction)
 
     def _take(self, check: EstimateCheck, received: float, reaction: Reaction) -> None:
         reaction.estimate, reaction.reset = check.estimate, check.step
         if check.event is not None:
             reaction.events += self.limit_event(received, check.event, "warning", check.text)
+
+
+def _rates_of(message: Message) -> tuple[float, float, float]:
+    """Body rates, FLU, rad/s; NaN of a message that has none."""
+    roll, pitch, yaw = (getattr(message, f"body_{axis}_rate", nan) for axis in ("roll", "pitch", "yaw"))
+    return roll, -pitch, -yaw
+
+
+def _overheard(frame: Frame, received: float) -> SetpointReport:
+    message, sender = frame.message, (frame.system, frame.component)
+    thrust = getattr(message, "thrust", nan)
+    return SetpointReport(received, _rates_of(message), thrust, sender, message.get_type())
+
+
+def _add_arming_event(armed: bool, received: float, reaction: Reaction) -> None:
+    name = "armed" if armed else "disarmed"
+    reaction.events.append(LinkEvent(received, name, "info", f"The vehicle is {name}."))

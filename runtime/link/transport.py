@@ -9,15 +9,14 @@ import select
 import socket
 import struct
 import time
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 import serial
 
 from dynamics.errors import RequestError, VehicleError
 from runtime.link.connection import Endpoint
-
-Address = tuple[Any, ...]
+from runtime.link.vehicle_source import Address
 
 PATIENCE = 0.05  # s that one receive waits
 _MAX_READ = 65536
@@ -52,8 +51,14 @@ class Transport(Protocol):
     def send(self, data: bytes) -> bool:
         """Pass bytes to the kernel without waiting. Returns whether it took them all."""
 
+    def receive_other(self) -> Received | None:
+        """The next datagram from elsewhere than the peer, once it keeps to it, or None; never waits."""
+
     def set_peer(self, source: Address | None) -> None:
         """Send from now on to the address that a packet came from."""
+
+    def keep_to_peer(self) -> None:
+        """Let the kernel keep what comes from elsewhere than the peer away from `receive`."""
 
     def close(self) -> None:
         """Close the socket or device."""
@@ -74,26 +79,35 @@ def open_transport(endpoint: Endpoint) -> Transport:
 
 
 class UdpTransport:
-    """A UDP socket: bound, its peer the sender of what arrives (udpin), or with a fixed peer (udpout)."""
+    """A UDP socket: bound, its peer the sender of what arrives (udpin), or with a fixed peer (udpout).
+
+    Once it keeps to its peer, the socket is connected: the kernel gives it the peer's datagrams alone, with a buffer
+    that nobody else fills, and all others go to a second socket on the same port.
+    """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        family, address = _resolve(endpoint, socket.SOCK_DGRAM)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        # a blocking socket with a time limit in the kernel: one system call for each datagram, not two
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMESPEC.pack(0, int(PATIENCE * 1e6)))
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._family, self._address = _resolve(endpoint, socket.SOCK_DGRAM)
+        self._socket = self._new_socket()
+        self._others: socket.socket | None = None
         self._peer: Address | None = None
         if endpoint.kind == "udpin":
             try:
-                self._socket.bind(address)
+                self._socket.bind(self._address)
             except OSError as error:
                 self._socket.close()
                 raise _refused(endpoint, error) from None
         else:
-            self._peer = address
+            self._peer = self._address
         self._view = memoryview(bytearray(_MAX_READ))
         self._buffers = [self._view]
+
+    def _new_socket(self) -> socket.socket:
+        new = socket.socket(self._family, socket.SOCK_DGRAM)
+        # a blocking socket with a time limit in the kernel: one system call for each datagram, not two
+        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMESPEC.pack(0, int(PATIENCE * 1e6)))
+        new.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        new.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        return new
 
     @property
     def port(self) -> int:
@@ -102,17 +116,22 @@ class UdpTransport:
 
     def receive(self, *, wait: bool = True) -> Received | None:
         """The next datagram, or None after PATIENCE or when only an ICMP error came."""
+        return self._receive(self._socket, 0 if wait else socket.MSG_DONTWAIT)
+
+    def receive_other(self) -> Received | None:
+        """The next datagram from elsewhere than the peer, once the socket keeps to it, or None."""
+        return None if self._others is None else self._receive(self._others, socket.MSG_DONTWAIT)
+
+    def _receive(self, source: socket.socket, flags: int) -> Received | None:
         try:
-            length, ancillary, _, source = self._socket.recvmsg_into(
-                self._buffers, 64, 0 if wait else socket.MSG_DONTWAIT
-            )
+            length, ancillary, _, sender = source.recvmsg_into(self._buffers, 64, flags)
         except BlockingIOError:
             return None
         except OSError as error:
             if error.errno in _SURVIVED:
                 return None
             raise TransportLostError(f"The UDP socket failed: {error.strerror}.") from None
-        return Received(bytes(self._view[:length]), _arrival(ancillary), source)
+        return Received(bytes(self._view[:length]), _arrival(ancillary), sender)
 
     def send(self, data: bytes) -> bool:
         """Send a datagram to the peer, if there is one yet."""
@@ -125,12 +144,37 @@ class UdpTransport:
 
     def set_peer(self, source: Address | None) -> None:
         """Send from now on to this address."""
-        if source is not None:
-            self._peer = source
+        if source is None or source == self._peer:
+            return
+        self._peer = source
+        if self._others is not None:
+            self._socket.connect(source)
+
+    def keep_to_peer(self) -> None:
+        """Connect the socket to the peer and open the one for others; without either, nothing changes."""
+        if self._peer is None or self._others is not None:
+            return
+        others, shared = self._new_socket(), (self._socket,)
+        try:
+            # two sockets of one process may share a port while both allow it; nobody else may, before or after
+            for each in (*shared, others):
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            others.bind(self._socket.getsockname())
+            self._socket.connect(self._peer)
+        except OSError:
+            others.close()
+            return
+        finally:
+            for each in shared:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
+        others.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
+        self._others = others
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the sockets."""
         self._socket.close()
+        if self._others is not None:
+            self._others.close()
 
 
 class TcpTransport:
@@ -197,6 +241,13 @@ class TcpTransport:
         except OSError:
             return False
 
+    def receive_other(self) -> Received | None:
+        """None: a stream has one other end."""
+        return None
+
+    def keep_to_peer(self) -> None:
+        """Nothing: a stream has one other end."""
+
     def set_peer(self, source: Address | None) -> None:
         """Nothing to do: a stream has one peer."""
 
@@ -242,6 +293,13 @@ class SerialTransport:
             return os.write(self._descriptor, data) == len(data)
         except OSError:
             return False
+
+    def receive_other(self) -> Received | None:
+        """None: a stream has one other end."""
+        return None
+
+    def keep_to_peer(self) -> None:
+        """Nothing: a stream has one other end."""
 
     def set_peer(self, source: Address | None) -> None:
         """Nothing to do: a line has one peer."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from zstandard import ZstdError
 from dynamics.errors import DataError, RequestError
 from runtime.record.records import TOPICS, Record
 
+MAGIC = b"\x89MCAP0\r\n"  # of an MCAP file
 Columns = Mapping[str, NDArray[Any]]
 
 
@@ -49,6 +51,19 @@ class FlightRecording:
             kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
             for row in self.messages.get(TOPICS[kind], [])
         ]
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """Inside, what damaged bytes of a recording make its readers raise becomes a DataError that names the file."""
+    try:
+        yield
+    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        what = str(error).partition("\n")[0]
+        raise DataError(
+            f"{path} is damaged, or written by another alula: {type(error).__name__}: {what}. Give an intact copy, or "
+            "`alula inspect` it for what can be read."
+        ) from error
 
 
 def _value(value: Any) -> Any:
@@ -89,11 +104,36 @@ def newest_recording(path: Path) -> Path:
     return recordings[-1]
 
 
+def read_attachments(path: Path) -> dict[str, str]:
+    """The texts that a recording begins with, such as the vehicle file; empty for a file that is no recording."""
+    attachments: dict[str, str] = {}
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return {}
+        for part in _parts(path):
+            match part:
+                case Message():
+                    break  # the recorder writes them before the flight
+                case Attachment():
+                    attachments[part.name] = part.data.decode()
+                case _:
+                    pass
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return attachments
+
+
 def read_recording(path: Path) -> FlightRecording:
     """Read a recording by scanning it, which needs no index.
 
     Raises RequestError for a path that cannot be read, DataError for a file that is no recording of `alula fly`.
     """
+    with damage_named(path):
+        return _read(path)
+
+
+def _read(path: Path) -> FlightRecording:
     topics: dict[int, str] = {}
     metadata: dict[str, str] = {}
     attachments: dict[str, str] = {}

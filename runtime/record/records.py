@@ -98,6 +98,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     battery_voltage: the newest, NaN when there is no new one.
     engage: whether engaging is requested at this tick.
     leave: why landing is requested, empty when it is not.
+    stop: whether the stream is to end at once; in recordings of older versions it did without a last setpoint.
     """
 
     tick: int
@@ -122,6 +123,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     rotor_speed: Annotated[Floats, Meta(description="rad/s")] = msgspec.field(default_factory=lambda: np.zeros(0))
     rotors_measured: bool = False
     battery_voltage: Annotated[float, Meta(description="V, NaN when there is no new one")] = nan
+    stop: bool = False
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):

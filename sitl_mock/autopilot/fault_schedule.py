@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.errors import RequestError
 from sitl_mock.autopilot.commander import Commander
 from sitl_mock.vehicle.clock import VehicleClock
-from sitl_mock.vehicle.vehicle_interface import Vehicle
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, Vehicle
 from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.link import Link
 
@@ -28,6 +28,8 @@ FaultKind = Literal[
     "packet_duplication",
     "packet_reorder",
     "message_flood",
+    "link_jitter",
+    "other_controller",
     "refuse_arming",
     "refuse_offboard",
     "gnss_loss",
@@ -35,6 +37,7 @@ FaultKind = Literal[
     "held",
     "effect",
 ]
+COMMAND_PERIOD = 0.016  # s between setpoints of another controller, whose beat is not ours
 TOUCHED = 0.1  # share of the weight that the ground carries when the vehicle has touched down
 Start = Literal["start", "arming", "takeoff", "touchdown"]
 
@@ -48,9 +51,10 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     duration: s, without end by default; an estimator reset and a clock jump happen at once.
     shift: of an estimator reset, ENU, m.
     yaw: of an estimator reset, about up, rad.
-    seconds: of a clock jump, negative for backwards.
+    seconds: of a clock jump, negative for backwards; the longest delay of a frame by link_jitter.
     probability: of a frame's loss, duplication or delay.
     rate: of a message flood, frames per second.
+    setpoint: body rates, FLU, rad/s, and thrust, 0..1, that another controller sends 60 times a second.
     values: of an effect, by name: {"weak_rotor[2].loss" = 0.15}; the scenario has the effect from its start.
     """
 
@@ -63,6 +67,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seconds: float = -1.0
     probability: float = 0.2
     rate: float = 10_000.0
+    setpoint: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.5)
     values: dict[str, float] = {}
 
     def __post_init__(self) -> None:
@@ -94,6 +99,7 @@ class FaultSchedule:
         self._running: list[tuple[float, Fault]] = []
         self._origin: dict[Start, float] = {"start": 0.0}
         self._flown = False
+        self._next_command = 0.0
 
     def apply(self, time: float) -> None:
         """Begin what is due and end what is over at a simulated time, s."""
@@ -107,11 +113,21 @@ class FaultSchedule:
         for end, fault in [entry for entry in self._running if entry[0] <= time]:
             self._running.remove((end, fault))
             ACTIONS[fault.kind](self._targets, fault, False)
+        self._command(time)
         for fault in [fault for fault in self._waiting if self._begins(fault) <= time]:
             self._waiting.remove(fault)
             ACTIONS[fault.kind](self._targets, fault, True)
-            if math.isfinite(fault.duration):
+            if math.isfinite(fault.duration) or fault.kind == "other_controller":
                 self._running.append((time + fault.duration, fault))
+
+    def _command(self, time: float) -> None:
+        """Let another controller send its setpoint, where one does."""
+        for _, fault in self._running:
+            if fault.kind == "other_controller" and time >= self._next_command:
+                self._next_command = time + COMMAND_PERIOD
+                *rates, thrust = fault.setpoint
+                setpoint = ControlSetpoint("rates", rate_body=np.array(rates), thrust=thrust)
+                self._targets.commander.offboard.feed(time, setpoint)
 
     def _note_touchdown(self, time: float) -> None:
         force = self._targets.vehicle.ground_force
@@ -171,6 +187,15 @@ def _flood(targets: FaultTargets, fault: Fault, begins: bool) -> None:
         link.fault.flood = fault.rate if begins else 0.0
 
 
+def _jitter(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    for link in targets.links:
+        link.fault.jitter = abs(fault.seconds) if begins else 0.0
+
+
+def _other_controller(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    """It sends while it runs: see FaultSchedule."""
+
+
 def _refuse_arming(targets: FaultTargets, _: Fault, begins: bool) -> None:
     commander = targets.commander
     commander.forced_rejections = replace(commander.forced_rejections, arming=begins)
@@ -209,6 +234,8 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "packet_duplication": _duplication,
     "packet_reorder": _reorder,
     "message_flood": _flood,
+    "link_jitter": _jitter,
+    "other_controller": _other_controller,
     "refuse_arming": _refuse_arming,
     "refuse_offboard": _refuse_offboard,
     "gnss_loss": _gnss_loss,

@@ -75,12 +75,17 @@ class Parameters:
             roll, pitch, yaw = (float(self[pattern.format(axis)]) for axis in ("ROLL", "PITCH", "YAW"))
             return roll, pitch, yaw
 
+        def gains(part: str) -> tuple[float, float, float]:
+            """PX4's parallel form: a factor K on each of P, I and D."""
+            factor, own = three("MC_{}RATE_K"), three(f"MC_{{}}RATE_{part}")
+            return factor[0] * own[0], factor[1] * own[1], factor[2] * own[2]
+
         limits = three("MC_{}RATE_MAX")
         return Tuning(
             attitude_gain=three("MC_{}_P"),
-            rate_gain_p=three("MC_{}RATE_P"),
-            rate_gain_i=three("MC_{}RATE_I"),
-            rate_gain_d=three("MC_{}RATE_D"),
+            rate_gain_p=gains("P"),
+            rate_gain_i=gains("I"),
+            rate_gain_d=gains("D"),
             rate_limit=(math.radians(limits[0]), math.radians(limits[1]), math.radians(limits[2])),
             thrust_model_factor=self._within_limits("THR_MDL_FAC"),
             hover_thrust=self._within_limits("MPC_THR_HOVER"),

@@ -22,7 +22,7 @@ from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
 from sitl_mock.vehicle.layout import Layout
-from sitl_mock.vehicle.sensors import next_estimate_error, next_wander
+from sitl_mock.vehicle.sensors import next_estimate_error, next_inertial_error, next_wander
 
 DT = 0.001  # s
 ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
@@ -78,7 +78,7 @@ def _layouts(model: Model) -> dict[str, Layout]:
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
         "rate_setpoint_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1,
         "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "wander": 9,
-        "wander_rate": 9, "offset": 9, "force_integral": 3, "gyro_integral": 3, "ground_point": 3,
+        "wander_rate": 9, "inertial_error": 2, "offset": 9, "force_integral": 3, "gyro_integral": 3, "ground_point": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -94,7 +94,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
         "yaw_torque_cutoff": 1,
         "gyro_noise": 3, "accelerometer_noise": 3, "gyro_rest_noise": 3, "accelerometer_rest_noise": 3,
         "gyro_bias": 3, "accelerometer_bias": 3, "estimate_noise": 9, "estimate_time": 9, "rotor_speed_noise": 1,
-        "wander_frequency": 9, "wander_noise": 9, "wander_rest": 9, "drift": 9,
+        "wander_frequency": 9, "wander_noise": 9, "wander_rest": 9, "inertial_forgetting": 2,
+        "drift": 9,
     }  # fmt: skip
     noise = {"hidden": model.hidden_count, "rotor": n, "gyro": 3, "accelerometer": 3, "estimate": 9, "rotor_speed": n}
     record = {
@@ -230,18 +231,24 @@ def _measure(
     acceleration = inner_loop.low_pass(
         (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
     )
-    force = force_read + constants["accelerometer_bias"] + force_noise * noise["accelerometer"]
+    jitter = force_noise * noise["accelerometer"]
+    force = force_read + constants["accelerometer_bias"] + jitter
+    inertial = next_inertial_error(
+        state["inertial_error"], quaternion.rotate(x[ATTITUDE], jitter)[2], constants["inertial_forgetting"], DT
+    )
     states = {
         "gyro_memory": memory,
         "rate": rate,
         "rate_acceleration": acceleration,
         "force_integral": state["force_integral"] + force * DT,
         "gyro_integral": state["gyro_integral"] + gyro * DT,
+        "inertial_error": inertial,
         **_estimate_errors(turning, state, constants, noise["estimate"]),
     }
     position = x[POSITION] + quaternion.rotate(x[ATTITUDE], arm)
     velocity = x[VELOCITY] + quaternion.rotate(x[ATTITUDE], ca.cross(x[RATE], arm))
     error = states["estimate_error"] + states["wander"] + states["offset"]
+    error = error + ca.vertcat(0, 0, inertial[1], 0, 0, inertial[0], 0, 0, 0)
     return states, ca.vertcat(position + error[0:3], velocity + error[3:6], _estimated_attitude(x, states), rate)
 
 

@@ -107,6 +107,16 @@ def next_wander(
     return error + dt * after, after
 
 
+def next_inertial_error(error: Expression, noise: Expression, forgetting: Expression, dt: float) -> Expression:
+    """Errors of climb rate and height after dt, as a filter integrates the accelerometer's noise. (2,) m/s, m.
+
+    noise: along world z, m/s^2. forgetting: (2,) 1/s; a rate of zero is a filter that integrates none.
+    """
+    integrates = ca.if_else(forgetting > 0, 1.0, 0.0)
+    change = integrates * ca.vertcat(noise, error[0]) - forgetting * error
+    return error + dt * change
+
+
 def quantised(value: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     """The value at a resolution; a step of zero leaves it as it is."""
     return np.asarray(np.round(value / step) * step) if step > 0 and math.isfinite(step) else value

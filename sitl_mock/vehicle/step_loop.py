@@ -9,6 +9,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.codegen import build_library, generate_c
+from dynamics.trust import load_own_library
 from sitl_mock.vehicle.plant import Plant
 
 
@@ -22,7 +23,7 @@ class StepLoop:
     def __init__(self, plant: Plant, *, rows: int = 1024) -> None:
         source = (Path(__file__).parent / "step_loop.c").read_text(encoding="utf-8")
         library = build_library({"functions.c": generate_c([plant.step]), "step_loop.c": source}, entry="step_loop.c")
-        self._advance = ctypes.CDLL(str(library)).advance
+        self._advance = load_own_library(library).advance
         self.state = np.zeros(plant.state.size)
         self.command = np.zeros(plant.command.size)
         self.constants = np.zeros(plant.constants.size)

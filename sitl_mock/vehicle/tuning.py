@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from dynamics.autopilot_settings import AutopilotSettings
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
-from dynamics.rate_loop import rate_loop
+from dynamics.rate_loop import autopilot_gains, rate_controller, rate_loop
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle.vehicle_interface import Tuning
 
-# Shape of PX4's SIH quadrotor's loops; `dynamics.rate_loop` has the proportional gains
-TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
-TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
+# Shape of PX4's SIH quadrotor's loops; `dynamics.rate_loop` has the rates' gains
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
 DEFAULT_HOVER = 0.5  # MPC_THR_HOVER, kept where the hover thrust differs by less than 0.02
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
@@ -27,25 +26,29 @@ ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 def default_tuning(
     vehicle: Vehicle, hidden: Sequence[EffectUse] = (), catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> Tuning:
-    """Gains derived from the vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
+    """Gains of the vehicle file's [autopilot], else derived from the vehicle; PX4's for `vehicles/px4_sih.toml`.
 
-    hidden: effects that the vehicle file does not name. The gains suit the real vehicle, slow motors included.
+    hidden: effects that the vehicle file does not name. Derived gains suit the real vehicle, slow motors included.
     """
-    loop = rate_loop(vehicle, hidden, catalogue)
-    speed, authority, yaw_p = loop.tilt_speed, loop.authority, loop.yaw_gain
-    tilt_p = (speed / authority[0], speed / authority[1])
-    attitude = min(ATTITUDE_SPEED * speed, ATTITUDE_GAIN_MAX)
+    gains = autopilot_gains(vehicle, hidden, catalogue)
+    inner = rate_controller(vehicle, gains)
+    attitude = min(ATTITUDE_SPEED * rate_loop(vehicle, hidden, catalogue, gains).tilt_speed, ATTITUDE_GAIN_MAX)
     return Tuning(
         attitude_gain=(attitude, attitude, 2.8),
-        rate_gain_p=(*tilt_p, yaw_p),
-        rate_gain_i=(TILT_INTEGRAL * speed * tilt_p[0], TILT_INTEGRAL * speed * tilt_p[1], 0.5 * yaw_p),
-        rate_gain_d=(TILT_DAMPING / authority[0], TILT_DAMPING / authority[1], 0.0),
+        rate_gain_p=inner.p,
+        rate_gain_i=inner.i,
+        rate_gain_d=inner.d,
         thrust_model_factor=vehicle.rotors.thrust_curve,
         hover_thrust=vehicle.weight / vehicle.rotors.thrust_max,
-        gyro_cutoff=loop.gyro_cutoff,
-        acceleration_cutoff=0.75 * loop.gyro_cutoff,
-        yaw_torque_cutoff=1 / (2 * math.pi * loop.yaw_filter),
+        gyro_cutoff=inner.gyro_cutoff,
+        acceleration_cutoff=inner.acceleration_cutoff,
+        yaw_torque_cutoff=inner.yaw_torque_cutoff,
     )
+
+
+def rate_gains(tuning: Tuning) -> AutopilotSettings:
+    """The gains of the rate loop, as a companion reads them from the autopilot."""
+    return AutopilotSettings(tuning.rate_gain_p, tuning.gyro_cutoff, tuning.yaw_torque_cutoff)
 
 
 def parameter_values(tuning: Tuning) -> dict[str, float]:

@@ -25,6 +25,7 @@ class LinkFault:
     loss: probability per frame, in both directions.
     duplication, reorder: probabilities per frame that the vehicle sends.
     down: nothing passes in either direction.
+    jitter: longest delay of a frame that the vehicle sends, s; frames do not overtake each other.
     flood: DEBUG messages that the vehicle sends in addition, frames per second.
     """
 
@@ -33,6 +34,7 @@ class LinkFault:
     reorder: float = 0.0
     down: bool = False
     flood: float = 0.0
+    jitter: float = 0.0
 
 
 @dataclass(order=True, slots=True)
@@ -93,6 +95,7 @@ class Link:
         self._listing_until = -math.inf
         self._last_gcs_heartbeat = -math.inf
         self._flood_due = 0.0
+        self._delayed_until = -math.inf
 
     def parse(self, peer: Hashable, data: bytes) -> list[Message]:
         """The valid messages in bytes from a peer; whatever is malformed is counted and skipped."""
@@ -169,6 +172,10 @@ class Link:
                 continue
             frame = self._pack(queued.message)
             if frame is None or not self._passes():
+                continue
+            if self.fault.jitter:
+                self._delayed_until = max(self._delayed_until, queued.time + self._random.uniform(0, self.fault.jitter))
+                self.send(self._delayed_until, None, frame)
                 continue
             if self.fault.reorder and self._random.random() < self.fault.reorder:
                 self.send(queued.time + 0.012, None, frame)

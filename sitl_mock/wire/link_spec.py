@@ -41,7 +41,9 @@ class LinkSpec:
         """The transport. Raises RequestError when a port is in use or a device cannot be opened."""
         address = (self.host, self.number)
         if self.scheme == "udpout":
-            return UdpTransport(("0.0.0.0", self.local_port), address)
+            # what speaks to this machine alone hears this machine alone
+            local = "127.0.0.1" if self.host in ("127.0.0.1", "localhost") else "0.0.0.0"
+            return UdpTransport((local, self.local_port), address)
         if self.scheme == "udpin":
             return UdpTransport(address, None)
         if self.scheme == "tcpin":

@@ -16,6 +16,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
+from dynamics.workbench_install import workbench_install
 from runtime.record.recording import FlightRecording, read_recording
 from studies.demo.result import DemoReport, FlownManoeuvre
 
@@ -135,7 +136,7 @@ def closing_lines(report: DemoReport) -> list[str]:
     if report.missing:
         return [
             "The second half, diagnosing these flights and flying the better model, needs "
-            f"{' and '.join(report.missing)}, which this install leaves out: pip install 'alula[workbench]' and run "
+            f"{' and '.join(report.missing)}, which this install leaves out: {workbench_install()} and run "
             "alula demo again."
         ]
     if report.learned is None:

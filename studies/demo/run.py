@@ -15,6 +15,7 @@ from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
+from dynamics.workbench_install import workbench_install
 from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, clear_old_files, pilot, rmse_on_px4_estimate
 from studies.demo.result import DemoReport, FlownManoeuvre
 
@@ -36,7 +37,7 @@ def check_options(options: DemoOptions) -> None:
         raise RequestError("no manoeuvre was given; name at least one, such as Lemniscate.")
     if options.lockstep and (absent := absent_libraries()):
         raise RequestError(
-            f"flights in lockstep need {' and '.join(absent)}: pip install 'alula[workbench]', or fly over the link."
+            f"flights in lockstep need {' and '.join(absent)}: {workbench_install()}, or fly over the link."
         )
     probe = options.folder / ".part-probe"
     try:

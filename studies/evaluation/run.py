@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from dynamics.errors import RequestError
 from dynamics.references.campaign import paper_campaign
 from dynamics.vehicle_file import find_vehicle, read_vehicle
+from flights.folder import CAMPAIGN
 from studies import figures
 from studies.evaluation.inference import Inference, time_inference
 from studies.evaluation.tables import evaluation_tables, summary_lines
@@ -19,7 +20,7 @@ from studies.tables import Table
 from studies.tables_page import write_tables_page
 from training import checkpoint
 from training.config import physical_config
-from training.data.logged_flights import CAMPAIGN, find_logs, read_logged_flights
+from training.data.logged_flights import find_logs, read_logged_flights
 from training.evaluation import PLANT, EvaluatedModel, EvaluationReport, NamedModel, evaluate, physical_model
 from training.ground_truth import campaign_of
 

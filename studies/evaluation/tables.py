@@ -166,8 +166,17 @@ def _short(flight: str) -> str:
 
 def summary_lines(evaluated: EvaluationReport) -> list[str]:
     """A sentence for each learned model, and the notes."""
-    learned = [model for model in evaluated.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
-    return [*map(_sentence, learned), *(f"note: {note}" for note in evaluated.notes)]
+    return [*map(_sentence, _learned(evaluated)), *(f"note: {note}" for note in evaluated.notes)]
+
+
+def ratios_to_nominal(evaluated: EvaluationReport) -> list[float]:
+    """RMSE of each learned model over that of the nominal model."""
+    errors = [pooled(model.best_known) for model in _learned(evaluated)]
+    return [error.combined / error.nominal for error in errors]
+
+
+def _learned(evaluated: EvaluationReport) -> list[Evaluation]:
+    return [model for model in evaluated.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
 
 
 def _sentence(model: Evaluation) -> str:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from dynamics.errors import RequestError
-from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_text
+from dynamics.trust import require_approved
+from dynamics.vehicle_file import effect_files_in, find_vehicle, parse_vehicle, vehicle_text
+from dynamics.vehicle_folder import vehicle_files_in
 from flights.reading import logs_below
 
 VEHICLE = "vehicle.toml"
-PARTS_OF_A_VEHICLE = ("body", "rotors")  # tables by which its file is recognised
 NO_LOGS = frozenset((
     ".toml", ".md", ".json", ".jsonl", ".html", ".pdf", ".png", ".svg", ".jpg", ".yaml", ".yml", ".py", ".part",
 ))  # fmt: skip
@@ -105,7 +105,7 @@ def vehicle_file_in(place: Path) -> Path | None:
     """
     if (place / VEHICLE).is_file():
         return place / VEHICLE
-    files = [path for path in sorted(place.glob("*.toml")) if _describes_vehicle(path)]
+    files = vehicle_files_in(place)
     if len(files) > 1:
         names = ", ".join(path.name for path in files[:4])
         raise RequestError(f"{place} holds {len(files)} vehicle files ({names}). Name the one to use {VEHICLE}.")
@@ -115,23 +115,12 @@ def vehicle_file_in(place: Path) -> Path | None:
 def read_fleet_vehicle(path: Path, label: str, effect_files: Sequence[Path] = ()) -> FleetVehicle:
     """A vehicle file, checked. label: what it is called in the results. Raises RequestError."""
     text = vehicle_text(path, effect_files=effect_files)
+    require_approved(effect_files_in(text), carrier=path)
     try:
         vehicle = parse_vehicle(text)
     except RequestError as error:
         raise RequestError(f"{path}: {error}") from error
-    digest = hashlib.sha256(text.encode())
-    for file in vehicle.effect_files:
-        digest.update(Path(file).read_bytes())
-    return FleetVehicle(vehicle.name, label, text, digest.hexdigest())
-
-
-def _describes_vehicle(path: Path) -> bool:
-    """Whether a TOML file has a vehicle's tables, right or wrong."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return False
-    return all(part in table for part in PARTS_OF_A_VEHICLE)
+    return FleetVehicle(vehicle.name, label, text, hashlib.sha256(text.encode()).hexdigest())
 
 
 def _log_paths(folder: Path, without: Path | None) -> list[Path]:

@@ -134,7 +134,7 @@ def _flights_of(text: bytes) -> dict[str, FleetFlight]:
     for line in text.split(b"\n"):
         try:
             flight = msgspec.json.decode(line, type=FleetFlight)
-        except msgspec.MsgspecError:
+        except (msgspec.MsgspecError, UnicodeDecodeError):
             continue
         flights.pop(flight.log, None)
         flights[flight.log] = flight

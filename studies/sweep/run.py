@@ -13,6 +13,7 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
+from flights.folder import CAMPAIGN
 from studies.evaluation.run import find_flights
 from studies.sweep.about import ABOUT, SweepAbout
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES, grid_cells
@@ -21,7 +22,7 @@ from studies.sweep.cell_work import CellWork, file_hash, finished_cells
 from studies.sweep.execution import run_cells
 from studies.sweep.search import Range, Search
 from training.config import ModelConfig
-from training.data.logged_flights import CAMPAIGN, find_logs
+from training.data.logged_flights import find_logs
 from training.recipe import Recipe, named_recipe
 
 
@@ -196,5 +197,5 @@ def _value(text: str) -> Any:
     """A number or a truth value where it is one, else the text; the recipe's own types are checked later."""
     try:
         return msgspec.json.decode(text)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return text

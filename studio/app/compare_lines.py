@@ -40,12 +40,14 @@ from studio.app.traces import (
     worst_windows,
     zoomed,
 )
-from studio.pages.inspected import ROWS
+from studio.pages.flight_panels import PANELS, panel_lines, place_legends
 from studio.pages.numbers import unit_shown
 from studio.work.arrays import read_array
 from studio.work.results import Compared, Diagnosed, Rows
 
 AXIS_NAMES = "xyz"
+HEIGHT = 720  # px
+FIRST_SIGNAL = "velocity"  # below the channels, before another one is chosen
 MAX_SPANS = 60  # shaded spans in a picture
 NEAR = 2.0  # s on each side of a moment that was clicked
 Span = tuple[float, float]
@@ -80,7 +82,8 @@ def panels(opened: OpenCase, compared: Compared, folder: Path) -> Any:
     ]
     flights = opened.flights()
     columns = {c.quantity for info in (flights[1] if flights else ()) for c in info.columns}
-    signals = [{"value": q, "label": f"{title}, full rate"} for q, title, _ in ROWS if q in columns]
+    signals = [p for p in PANELS if p.quantity in columns]
+    signals.sort(key=lambda panel: panel.quantity != FIRST_SIGNAL)
     second = [{"value": "", "label": "nothing"}]
     second += [{"value": f"log:{log}", "label": f"flight {flight}"} for log, flight in logs]
     second += [
@@ -109,8 +112,8 @@ def panels(opened: OpenCase, compared: Compared, folder: Path) -> Any:
             dmc.Select(
                 id="compare-signal",
                 label="Below it",
-                data=signals,
-                value=signals[0]["value"] if signals else None,
+                data=[{"value": p.quantity, "label": f"{p.title}, full rate"} for p in signals],
+                value=signals[0].quantity if signals else None,
                 allowDeselect=False,
                 w=220,
             ),
@@ -130,9 +133,11 @@ def panels(opened: OpenCase, compared: Compared, folder: Path) -> Any:
         dcc.Store(id="compare-cell"),
         html.Div(
             [
-                redraw.lines_graph("compare-lines", "Lines: measurement and model over time"),
+                redraw.lines_graph("compare-lines", "Lines: measurement and model over time", HEIGHT),
                 html.Div(
-                    graph("compare-lines-2", EMPTY, "Lines: the other flight or model"), id="second-panel", hidden=True
+                    graph("compare-lines-2", EMPTY, "Lines: the other flight or model", height=HEIGHT),
+                    id="second-panel",
+                    hidden=True,
                 ),
             ],
             className="grid",
@@ -242,19 +247,20 @@ def _lines(
     time = read_array(folder, "time")[numbers]
     for name, model, colour, dash_style, source in models[1:]:
         level = over_floor(source, rows, model or "", numbers)[:, place]
-        lines.append(DrawnLine(AXES, f"error over floor, {name}", colour, dash_style, thinned(time, level, span)))
+        lines.append(DrawnLine(AXES, name, colour, dash_style, thinned(time, level, span)))
     flights = opened.flights()
     if flights is not None and signal is not None:
-        columns = [c.name for c in flights[1][log].columns if c.quantity == signal]
-        for number, column in enumerate(columns):
-            line = flight_line(flights[0], flights[1][log], log, column, span)
-            lines.append(DrawnLine(AXES + 1, column, f"axis{number}", "solid", line))
+        panel = next(one for one in PANELS if one.quantity == signal)
+        for one in panel_lines(panel, {c.name: c.quantity for c in flights[1][log].columns}):
+            line = flight_line(flights[0], flights[1][log], log, one.column, span)
+            dash = "dot" if one.is_setpoint else "solid"
+            lines.append(DrawnLine(AXES + 1, one.label, f"axis{one.colour}", dash, line))
     return lines
 
 
 def _figure(lines: Sequence[DrawnLine], kind: str, signal: str | None, scheme: str, span: Any) -> go.Figure:
     unit = unit_shown(UNITS[kind])
-    figure = make_subplots(rows=AXES + 2, shared_xaxes=True, vertical_spacing=0.03)
+    figure = make_subplots(rows=AXES + 2, shared_xaxes=True, vertical_spacing=0.045)
     palette = {"measured": measured_colour(scheme), "present": PRESENT, "improved": improved_colour(scheme)}
     palette |= {f"axis{number}": colour for number, colour in enumerate(LINE_COLOURS)}
     palette["second"] = SECOND_MODEL
@@ -263,8 +269,9 @@ def _figure(lines: Sequence[DrawnLine], kind: str, signal: str | None, scheme: s
             x=drawn.line.x,
             y=drawn.line.y,
             name=drawn.name,
+            legend=f"legend{AXES + 2}" if drawn.row == AXES + 1 else "legend",
             legendgroup=drawn.name,
-            showlegend=drawn.row == 0,
+            showlegend=drawn.row in (0, AXES + 1),
             mode="lines",
             line={"color": palette.get(drawn.colour, LINE_COLOURS[-1]), "width": 1.3, "dash": drawn.dash},
             hovertemplate=f"{drawn.name}: %{{y:.4g}}<extra></extra>",
@@ -273,10 +280,11 @@ def _figure(lines: Sequence[DrawnLine], kind: str, signal: str | None, scheme: s
     for axis in range(AXES):
         figure.update_yaxes(title_text=f"{AXIS_NAMES[axis]}, {unit}", row=axis + 1, col=1)
     figure.update_yaxes(title_text="error, × floor", rangemode="tozero", row=AXES + 1, col=1)
-    title = next((f"{t}, {u}" if u else t for q, t, u in ROWS if q == signal), "")
+    title = next((panel.axis_title for panel in PANELS if panel.quantity == signal), "")
     figure.update_yaxes(title_text=title, row=AXES + 2, col=1)
     figure.update_xaxes(title_text="time in the log, s", row=AXES + 2, col=1)
-    styled(figure, scheme, height=720)
+    styled(figure, scheme, height=HEIGHT)
+    place_legends(figure, (1, AXES + 2))
     if span is not None:
         figure.update_xaxes(range=list(span))
     figure.update_layout(hovermode="x", dragmode="zoom")
@@ -321,7 +329,7 @@ def _version_lines(folder: Path, number: str, rows: Rows, log: int, kind: int, s
     numbers = row_numbers(rows, log)
     level = over_floor(folder, rows, "residual", numbers)[:, kind]
     errors = thinned(read_array(folder, "time")[numbers], level, span)
-    lines.append(DrawnLine(AXES, f"error over floor, version {number}", "second", "solid", errors))
+    lines.append(DrawnLine(AXES, f"version {number}", "second", "solid", errors))
     return lines
 
 

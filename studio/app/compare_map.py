@@ -22,15 +22,19 @@ from studio.work.results import Compared, Rows
 
 SHOWN_SECONDS = 8  # buttons of a cell
 PATH_POINTS = 4000
+PATH_HEIGHT = 480  # px
+# from where the whole box shows in a picture that is narrower than it is high, as on a telephone
+CAMERA = {"eye": {"x": 2.1, "y": 2.1, "z": 1.6}}
 
 
 def map_card(compared: Compared) -> Any:
     """The map, for a kind of channel."""
-    kinds = choices_of(compared.pictures["regimes"])
+    picture = compared.pictures["regimes"]
+    kinds = choices_of(picture)
     return card(
         "Where it fails",
         dmc.Select(id="map-kind", label="Channel", data=kinds, value=kinds[0], allowDeselect=False, w=260),
-        graph("compare-map", EMPTY, "Map: error over the noise floor along each quantity"),
+        graph("compare-map", EMPTY, "Map: error over the noise floor along each quantity", height=picture.height),
         html.Div(id="cell-seconds"),
         note="Click a cell to see the seconds that it is made of; click a moment above to see its cells here.",
     )
@@ -142,14 +146,15 @@ def _path_figure(folder: Path, rows: Rows, scheme: str) -> go.Figure:
                 "colorscale": "Cividis",
                 "cmin": 1.0,
                 "cmax": max(2.0, float(np.nanquantile(level, 0.99))),
-                "colorbar": {"title": "× floor", "thickness": 12},
+                "colorbar": {"title": "× floor", "thickness": 12, "orientation": "h", "y": 0, "yanchor": "top"},
             },
             customdata=np.stack([logs[::step], time[::step]], axis=1),
             hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m at %{customdata[1]:.1f} s<extra></extra>",
         )
     )
-    styled(figure, scheme, height=460)
+    styled(figure, scheme, height=PATH_HEIGHT)
     axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": "#868e96", "showbackground": False}
     titles = {"xaxis": "x, m", "yaxis": "y, m", "zaxis": "z, m"}
-    figure.update_layout(scene={"aspectmode": "data", **{k: {**axis, "title": t} for k, t in titles.items()}})
+    scene = {"aspectmode": "data", "camera": CAMERA, **{k: {**axis, "title": t} for k, t in titles.items()}}
+    figure.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 0, "b": 64})
     return figure

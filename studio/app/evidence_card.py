@@ -30,6 +30,7 @@ from studio.work.arrays import read_array
 from studio.work.results import GRID, Diagnosed, Evidence, Rows, Slider
 
 MARKS = 4  # steps of a slider between two values of its grid
+HEIGHT = 460  # px of both pictures
 MOVED = "with the effect"  # name of the lines that a slider moves
 
 
@@ -153,8 +154,8 @@ def _evidence(opened: OpenCase, evidence: Evidence, diagnosed: Diagnosed, scheme
             ]
         ),
         grid(
-            redraw.lines_graph("evidence-lines", "Lines: measurement, present model, and with the effect"),
-            redraw.lines_graph("evidence-errors", "Lines: error over floor for each value of the parameter"),
+            redraw.lines_graph("evidence-lines", "Lines: measurement, present model, and with the effect", HEIGHT),
+            redraw.lines_graph("evidence-errors", "Lines: error over floor for each value of the parameter", HEIGHT),
             width=520,
         ),
         grid(
@@ -302,7 +303,7 @@ def _lines_figure(lines: list[_DrawnLine], kind: str, scheme: str) -> go.Figure:
     for axis in range(AXES):
         figure.update_yaxes(title_text=f"{'xyz'[axis]}, {unit_shown(UNITS[kind])}", row=axis + 1, col=1)
     figure.update_xaxes(title_text="time in the log, s", row=AXES, col=1)
-    styled(figure, scheme, height=460)
+    styled(figure, scheme, height=HEIGHT)
     figure.update_layout(hovermode="x")
     return figure
 
@@ -354,4 +355,4 @@ def _errors_figure(slider: Slider, place: float, scheme: str) -> go.Figure:
     unit = f", {unit_shown(slider.unit)}" if slider.unit != "1" else ""
     figure.update_xaxes(title_text=f"{slider.name}{unit}")
     figure.update_yaxes(title_text="error, × floor", rangemode="tozero")
-    return styled(figure, scheme, height=460)
+    return styled(figure, scheme, height=HEIGHT)

@@ -11,24 +11,23 @@ import dash_mantine_components as dmc
 import msgspec
 import plotly.graph_objects as go
 from dash import Input, Output, State, dcc, html, no_update
-from plotly.subplots import make_subplots
 
-from diagnosis.vehicle_from_logs import vehicle_from_logs
 from dynamics.errors import RequestError
+from dynamics.files import write_whole
+from dynamics.vehicle_file import vehicle_name, with_effect_files, without_effect_files
 from studio.app import redraw
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, command_box, message
+from studio.app.parts import action, card, command_box, message, sized
 from studio.app.place import opened_at, place_of
 from studio.app.studio import Studio
 from studio.app.theme import LINE_COLOURS, styled
 from studio.app.traces import flight_line, window_of, zoomed
 from studio.case.case import Case
 from studio.case.state import Options
-from studio.pages.inspected import ROWS
+from studio.pages.flight_panels import Panel, PanelLine, height_of, panels_figure, place_legends, shown_panels
 from studio.work.results import FlightInfo
 from vehicles import FOLDER
 
-PANEL = 130  # px
 OWN_FILE, FROM_LOG = "a file of your own", "made from the log"
 
 
@@ -108,15 +107,27 @@ def _log_list(opened: OpenCase) -> Any:
             n_clicks=0,
             **{"aria-label": f"remove {Path(log.path).name}"},
         )
+        flown = [] if info is None or not info.vehicle else [_flown_offer(info)]
         name = dmc.Text([html.B(Path(log.path).name), f" ({about})"])
-        rows.append(html.Li(dmc.Stack([dmc.Group([name, remove]), *refused], gap=2)))
+        rows.append(html.Li(dmc.Stack([dmc.Group([name, remove, *flown]), *refused], gap=2)))
     return html.Ul(rows)
+
+
+def _flown_offer(info: FlightInfo) -> Any:
+    """A button that takes the vehicle that a recording holds."""
+    return dmc.Button(
+        f"Use the vehicle that flew it: {vehicle_name(info.vehicle)}",
+        id={"act": "flown-vehicle", "step": "", "value": info.path},
+        size="compact-sm",
+        variant="light",
+        n_clicks=0,
+    )
 
 
 def _vehicle_choice(opened: OpenCase, name: str) -> list[Any]:
     state, version = opened.case.state, opened.case.version
     bundled = sorted(path.stem for path in FOLDER.glob("*.toml"))
-    now = "none chosen" if version is None else f"{opened.case.vehicle().name} ({state.vehicle})"
+    now = "none chosen" if version is None else f"{opened.case.vehicle_name()} ({state.vehicle})"
     choose = dmc.Group(
         [
             dmc.Select(
@@ -213,7 +224,7 @@ def _flight_card(opened: OpenCase) -> Any:
     return card(
         "Flights",
         choice,
-        redraw.lines_graph("log-lines", "Lines: the log's quantities over time"),
+        redraw.lines_graph("log-lines", "Lines: the log's quantities over time", _height(readable[0][1])),
         note="Drag to zoom: the lines are drawn again from all rows. Double-click to see the whole flight.",
     )
 
@@ -230,6 +241,7 @@ def register(app: dash.Dash, studio: Studio) -> None:
     )(lambda _, last, path: _refresh(studio, last, path))
     app.callback(
         Output("log-lines", "figure"),
+        Output("log-lines", "style"),
         Input("log-flight", "value"),
         State("url", "pathname"),
         State("scheme", "data"),
@@ -262,9 +274,9 @@ def _flight(studio: Studio, flight: str | None, path: str) -> tuple[Path, Flight
     return flights[0], flights[1][int(flight)], int(flight)
 
 
-def _draw(studio: Studio, flight: str | None, path: str, scheme: str) -> Any:
+def _draw(studio: Studio, flight: str | None, path: str, scheme: str) -> tuple[Any, Any]:
     there = _flight(studio, flight, path)
-    return no_update if there is None else flight_figure(*there, scheme)
+    return (no_update, no_update) if there is None else (flight_figure(*there, scheme), sized(_height(there[1])))
 
 
 def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
@@ -273,69 +285,60 @@ def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
     if there is None or not zoomed(zoom):
         return no_update
     folder, info, number = there
-    columns = [column for _, names in panels_of(info) for column in names]
+    columns = [line.column for _, lines in panels_of(info) for line in lines]
     lines = [flight_line(folder, info, number, column, window_of(zoom)) for column in columns]
     return redraw.redrawn("log-lines", key_of(info, number), dict(enumerate(lines)))
 
 
-def panels_of(info: FlightInfo) -> list[tuple[tuple[str, str, str], list[str]]]:
-    """The panels of a log's picture, and the columns that are drawn in each."""
-    columns = {row: [c.name for c in info.columns if c.quantity == row[0]] for row in ROWS}
-    return [(row, names) for row, names in columns.items() if names]
+def panels_of(info: FlightInfo) -> list[tuple[Panel, list[PanelLine]]]:
+    """The panels of a log's picture, and the lines in each."""
+    return shown_panels({column.name: column.quantity for column in info.columns})
+
+
+def _height(info: FlightInfo) -> int:
+    """The height of a log's picture, px."""
+    return height_of(max(1, len(panels_of(info))))
 
 
 def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> go.Figure:
     """The quantities of a log over time, a panel each."""
     panels = panels_of(info)
-    figure = make_subplots(rows=max(1, len(panels)), shared_xaxes=True, vertical_spacing=0.035)
-    for row, ((_, title, unit), columns) in enumerate(panels, start=1):
-        for index, column in enumerate(columns):
-            line = flight_line(folder, info, number, column)
-            figure.add_trace(
-                go.Scatter(
-                    x=line.x,
-                    y=line.y,
-                    name=column,
-                    mode="lines",
-                    line={"color": LINE_COLOURS[index % len(LINE_COLOURS)], "width": 1.1},
-                    showlegend=False,
-                    hovertemplate=f"{column}: %{{y:.4g}} {unit}<extra></extra>",
-                ),
-                row=row,
-                col=1,
-            )
-        figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
-    figure.update_xaxes(title_text="time, s", row=max(1, len(panels)), col=1)
-    styled(figure, scheme, height=PANEL * max(1, len(panels)) + 70)
+
+    def points(column: str) -> tuple[Any, Any]:
+        line = flight_line(folder, info, number, column)
+        return line.x, line.y
+
+    figure = panels_figure(panels, points, LINE_COLOURS)
+    styled(figure, scheme, height=_height(info))
+    place_legends(figure, range(1, len(panels) + 1))
     figure.update_layout(hovermode="x unified")
     return redraw.keyed(figure, key_of(info, number))
 
 
 def key_of(info: FlightInfo, number: int) -> str:
-    """Of the lines of a log's picture."""
-    return repr((number, info.path, [names for _, names in panels_of(info)]))
+    """The key of the lines of a log's picture."""
+    return repr((number, info.path, [[line.column for line in lines] for _, lines in panels_of(info)]))
 
 
-def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
+def change(opened: OpenCase, act: str, value: str, fields: dict[str, Any]) -> None:
     """Choose or make a vehicle, or change how logs are read. Raises RequestError and DataError."""
     case = opened.case
     if act == "vehicle":
         if not fields.get("bundled"):
             raise RequestError("no vehicle is selected in the list. Select one, or drop a file.")
-        case.set_vehicle(str(fields["bundled"]))
+        opened.choose_vehicle(lambda: case.set_vehicle(str(fields["bundled"])))
+    elif act == "flown-vehicle":
+        opened.choose_vehicle(lambda: use_flown_vehicle(opened, value))
     elif act == "make-vehicle":
-        made = vehicle_from_logs(
-            case.log_paths,
-            name=str(fields.get("made-name") or "vehicle"),
+        name = str(fields.get("made-name") or "vehicle").replace("/", "_")
+        opened.make_vehicle(
+            name,
+            _making(case, fields, case.folder / f"{name}.toml"),
             mass=_number(fields.get("made-mass")),
             arm=_number(fields.get("made-arm")),
             speed_max=_number(fields.get("made-speed")),
-            mapping=case.state.options.mapping or None,
         )
-        path = case.folder / f"{made.draft.vehicle.name}.toml"
-        action = f"made {made.draft.vehicle.name} from the log"
-        case.set_vehicle_text(made.draft.toml, source=str(path), action=action, command=_making(case, fields, path))
-        path.write_text(made.draft.toml, encoding="utf-8")
+        return
     else:
         keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping"}
         values = {name: str(fields.get(field) or "") for name, field in keys.items()}
@@ -343,6 +346,33 @@ def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
     if case.state.logs:
         opened.start("check")
         opened.start_if_open("compare")
+
+
+def use_flown_vehicle(opened: OpenCase, log: str) -> None:
+    """Choose the vehicle that a recording holds. log: path of the recording.
+
+    Its list of Python files with effects is left out, since data never runs code: effects of one's own are those that
+    the user has dropped. Raises RequestError where it needs others.
+    """
+    flights = opened.flights()
+    flown = next((info.vehicle for info in flights[1] if info.path == log), "") if flights else ""
+    if not flown:
+        raise RequestError(f"{Path(log).name} holds no vehicle. Choose one in the list, or drop a file.")
+    case = opened.case
+    text, named = without_effect_files(flown)
+    files = [case.folder / file for file in case.state.effect_files]
+    source = case.folder / f"flown_{Path(log).name.partition('.')[0]}.toml"
+    action = f"took the vehicle of {Path(log).name}"
+    try:
+        case.set_vehicle_text(with_effect_files(text, case.folder, files), source=str(source), action=action)
+    except RequestError as error:
+        if not named:
+            raise
+        raise RequestError(
+            f"{error} The recording's vehicle names effects of its own in {', '.join(map(repr, named))}: a Python "
+            "program, which a recording never runs. If you trust it, drop that file under 'Effects of your own' first."
+        ) from error
+    write_whole(source, lambda part: part.write_text(text, encoding="utf-8"), advice="Make room on the disk.")
 
 
 def _making(case: Case, fields: dict[str, Any], path: Path) -> str:

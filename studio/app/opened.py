@@ -7,13 +7,15 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal, TypeVar
 
 import msgspec
 
 from dynamics.errors import AlulaError, RequestError
-from dynamics.files import make_folder
+from dynamics.files import make_folder, write_whole
+from dynamics.vehicle_plausibility import require_in_range
 from studio.case.case import ADVICE, Case
 from studio.case.commands import command
 from studio.case.state import ChannelLevel
@@ -53,6 +55,7 @@ class OpenCase:
         self._running = ""  # folder of the result that is being made
         self._queue: list[tuple[str, Task]] = []
         self._lock = threading.Lock()
+        self._making = ""  # folder of the vehicle that was asked for last, empty where another one was chosen since
 
     @property
     def job(self) -> Job | None:
@@ -73,7 +76,60 @@ class OpenCase:
         if self.status(page_of(step)) == "locked":
             raise RequestError(f"{step} is locked: {self.lock_reason(page_of(step))}")
         name = ":".join(filter(None, (step, effect or reference)))
-        task = self._task(step, name, effect=effect, reference=reference)
+        self._enqueue(name, self._task(step, name, effect=effect, reference=reference))
+
+    def make_vehicle(self, name: str, command: str, **numbers: float | None) -> None:
+        """Begin to make a vehicle of the logs; it becomes the case's unless another one is asked for meanwhile.
+
+        numbers: mass (kg), arm (m) and speed_max (rad/s), None where they are not given. command: that makes the same.
+        Raises RequestError for numbers that no vehicle has.
+        """
+        if not self.case.state.logs:
+            raise RequestError("there is no log to make a vehicle of. Drop one above.")
+        measured = {key: value for key, value in numbers.items() if value is not None}
+        if "mass" not in measured:
+            raise RequestError("the mass is open, and flights cannot show it. Weigh the vehicle as flown, in kg.")
+        require_in_range(mass=measured["mass"], arm=measured.get("arm"))
+        step = f"make:{name}"
+        task = self._task("check", step, effect="", reference="")  # a step that needs no vehicle either
+        key = sha256(repr((self.case.key("make"), name, sorted(measured.items()))).encode()).hexdigest()[:16]
+        result = str(self.case.result_folder(step, key))
+        task = msgspec.structs.replace(task, step="make", result=result, numbers=measured, name=name, command=command)
+        if self._making == result and self._is_made(result):
+            return
+        with self._lock:
+            self._making = result
+        if self._is_made(result):
+            self._take_made(task, Path(result))
+        else:
+            self._end_making(result)
+            self._enqueue(step, task)
+
+    def choose_vehicle(self, choose: Callable[[], None]) -> None:
+        """Choose a vehicle in another way: one that is still being made is given up."""
+        making, self._making = self._making, ""
+        try:
+            choose()
+        except AlulaError:
+            self._making = making
+            raise
+        self._end_making("")
+
+    @staticmethod
+    def _is_made(result: str) -> bool:
+        return Path(result).is_dir() and refusal_of(Path(result)) is None
+
+    def _end_making(self, result: str) -> None:
+        """End the making of vehicles other than the one of this result."""
+        with self._lock:
+            self._queue = [(name, task) for name, task in self._queue if task.step != "make" or task.result == result]
+            job, worker = self._job, self._worker
+            old = job is not None and job.step.startswith("make:") and self._running != result
+        if old and worker is not None:
+            worker.cancel()
+
+    def _enqueue(self, name: str, task: Task) -> None:
+        """Put a task behind what runs, unless its result is there or on the way."""
         with self._lock:
             if Path(task.result).is_dir() and refusal_of(Path(task.result)) is None:
                 return
@@ -204,7 +260,7 @@ class OpenCase:
             logs=tuple(map(str, case.log_paths)),
             vehicle=str(case.vehicle_path()) if case.version else "",
             first_vehicle=str(case.vehicle_path(first)) if first else "",
-            effect_files=tuple(str(case.folder / file) for file in case.state.effect_files),
+            effect_files=tuple(file.path for file in case.effect_files()),
             mapping=case.state.options.mapping,
             pose=case.state.options.pose,
             hold_out=case.state.options.hold_out,
@@ -259,10 +315,31 @@ class OpenCase:
         if not refused:
             self.case.set_shown(name, key)
         if task.step == "add" and not refused:
+            if task.result != str(self.case.result_folder(name)):
+                self.failure = "The case was changed while effects were added: they are not taken. Add them again."
+                return
             self._take_version(task, result)
+        if task.step == "make":
+            refusal = refusal_of(result)
+            if task.result != self._making:
+                return  # another vehicle was asked for since
+            if refusal is not None:
+                self.failure = refusal.message
+            else:
+                self._take_made(task, result)
         following = CHAINED.get(name)
         if following and not refused:
             self.start_if_open(following)
+
+    def _take_made(self, task: Task, result: Path) -> None:
+        """The vehicle that was made becomes the case's, as a new first version."""
+        text = (result / VEHICLE).read_text(encoding="utf-8")
+        path = self.case.folder / f"{task.name}.toml"
+        action = f"made {task.name} from the log"
+        self.case.set_vehicle_text(text, source=str(path), action=action, command=task.command)
+        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), advice=ADVICE)
+        self.start("check")
+        self.start_if_open("compare")
 
     def _take_version(self, task: Task, result: Path) -> None:
         added = msgspec.json.decode((result / FILES[Added]).read_bytes(), type=Added)
@@ -280,4 +357,4 @@ class OpenCase:
 def page_of(step: str) -> str:
     """The page of the path that a step belongs to."""
     name = step.partition(":")[0]
-    return {"explain": "diagnose", "fly": "prove", "export": "prove"}.get(name, name)
+    return {"explain": "diagnose", "fly": "prove", "export": "prove", "make": "log"}.get(name, name)

@@ -29,12 +29,20 @@ def action(name: str, label: str, *, disabled: bool = False, variant: str = "fil
     return dmc.Button(label, id=place, disabled=disabled, variant=variant, n_clicks=0)
 
 
-def graph(name: str, figure: Any, description: str, **more: Any) -> Any:
-    """A picture with its description for screen readers, and buttons that save it as it is seen."""
-    drawn = dcc.Graph(id=name, figure=figure, config=CONFIG, **more)
+def graph(name: str, figure: Any, description: str, *, height: int | None = None) -> Any:
+    """A picture with its description for screen readers, and buttons that save it as it is seen.
+
+    height: px, by default the figure's own; of a picture that is drawn later.
+    """
+    drawn = dcc.Graph(id=name, figure=figure, config=CONFIG, style=sized(height or figure["layout"]["height"]))
     formats = [html.Button(kind.upper(), type="button", **{"data-format": kind}) for kind in SAVED_AS]
     save = html.Div(["Save as ", *formats, html.Span("", className="answer", role="status")], className="save")
     return html.Div([drawn, save], role="group", className="picture", **{"aria-label": description})
+
+
+def sized(height: int) -> dict[str, str]:
+    """The style of a picture's element, px: Plotly forgets a figure's own height when the window's width changes."""
+    return {"height": f"{height}px"}
 
 
 def card(title: str, *children: Any, note: str = "") -> Any:

@@ -21,9 +21,9 @@ from studio.app.theme import EMPTY
 from studio.app.traces import Line
 
 
-def lines_graph(name: str, description: str) -> Any:
-    """A picture of lines that can be redrawn, empty at first."""
-    return html.Div([graph(name, EMPTY, description), dcc.Store(id=points_of(name))])
+def lines_graph(name: str, description: str, height: int) -> Any:
+    """A picture of lines that can be redrawn, empty at first. height: px."""
+    return html.Div([graph(name, EMPTY, description, height=height), dcc.Store(id=points_of(name))])
 
 
 def points_of(name: str) -> str:

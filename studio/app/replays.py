@@ -25,7 +25,7 @@ class Replays:
         """Fly a recording again, unless that is being done."""
         if path in self._processes:
             return
-        command = [sys.executable, "-m", "alula", "replay", str(path), "--json"]
+        command = [sys.executable, "-P", "-m", "alula", "replay", str(path), "--json"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self._processes[path], self._lines[path] = process, [RUNNING]
         threading.Thread(target=self._collect, args=(path, process), daemon=True, name="studio replay").start()

@@ -220,10 +220,10 @@ def _text() -> str:
 def _receive_vehicle(opened: OpenCase) -> str:
     name = Path(flask.request.args.get("name", "vehicle.toml")).name
     folder = opened.case.folder
-    files = [folder / file for file in opened.case.state.effect_files]
-    text = with_effect_files(_text(), folder, files)
+    text = with_effect_files(_text(), folder, [file.path for file in opened.case.effect_files()])
     target = folder / f"uploaded_{name}"
-    opened.case.set_vehicle_text(text, source=str(target), action=f"chose {Path(name).stem}")
+    action = f"chose {Path(name).stem}"
+    opened.choose_vehicle(lambda: opened.case.set_vehicle_text(text, source=str(target), action=action))
     write_whole(target, lambda part: part.write_text(text, encoding="utf-8"), advice="Make room on the disk.")
     if opened.case.state.logs:
         opened.start("check")
@@ -251,7 +251,7 @@ def _picture() -> bytes:
         raise RequestError(f"the picture has more than {MAX_FIGURE >> 20} MB. Zoom in, or save it as PNG.")
     try:
         figure = msgspec.json.decode(body, type=SavedFigure)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"that is no picture: {error}. Send data, layout, width and height.") from None
     return picture_pdf({"data": figure.data, "layout": figure.layout}, width=figure.width, height=figure.height)
 
@@ -260,7 +260,7 @@ def _vehicle_file(opened: OpenCase, number: int) -> Any:
     version = opened.case.version_number(number)
     if version is None:
         raise RequestError(f"the case has no version {number}.")
-    name = f"{opened.case.vehicle(version).name}.v{number}.toml"
+    name = f"{opened.case.vehicle_name(version)}.v{number}.toml"
     return flask.send_file(opened.case.vehicle_path(version), as_attachment=True, download_name=name)
 
 

@@ -252,7 +252,7 @@ def _navigation(opened: OpenCase, name: str, page: str) -> Any:
 def _heading(opened: OpenCase, name: str) -> Any:
     """Case, vehicle and version, and the case as a file."""
     case, version = opened.case, opened.case.version
-    vehicle = "no vehicle yet" if version is None else f"{case.vehicle().name}, version {version.number}"
+    vehicle = "no vehicle yet" if version is None else f"{case.vehicle_name()}, version {version.number}"
     send = html.A("Send the case as one file", href=f"/case/{name}/archive", download=True, className="send")
     script = html.A("Save it as a script", href=f"/case/{name}/script.sh", download=True, className="send")
     links = [send] if version is None else [send, script]
@@ -316,5 +316,5 @@ def _change(opened: OpenCase, act: str, step: str, value: str, fields: dict[str,
             case.remove_log(value)
             if case.state.logs:
                 opened.start("check")
-        case "vehicle" | "make-vehicle" | "options":
-            log_page.change(opened, act, fields)
+        case "vehicle" | "make-vehicle" | "flown-vehicle" | "options":
+            log_page.change(opened, act, value, fields)

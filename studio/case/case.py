@@ -10,19 +10,21 @@ import datetime
 import fcntl
 import getpass
 import hashlib
-import shutil
 import threading
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import msgspec
 
+from dynamics.effect_source import EffectFile, read_effect_file, read_effect_file_below
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json, write_whole
-from dynamics.own_effects import read_effects
+from dynamics.own_effects import effects_of
+from dynamics.trust import require_approved
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import find_vehicle, parse_vehicle, read_vehicle, vehicle_text
+from dynamics.vehicle_file import effect_files_in, find_vehicle, parse_vehicle, read_vehicle, vehicle_text
 from flights.source import sha256
 from studio.case.state import FORMAT, CaseLog, CaseState, ChannelLevel, Options, Version
 
@@ -48,6 +50,8 @@ class Case:
     @classmethod
     def create(cls, folder: Path, *, name: str = "") -> Case:
         """A new case in a folder that is empty or does not exist. Raises RequestError where there is something."""
+        if folder.exists() and not folder.is_dir():
+            raise RequestError(f"{folder} is a file. Give a case's folder, or a new one; logs stand before --case.")
         if folder.exists() and any(folder.iterdir()):
             raise RequestError(f"{folder} is not empty. Give a new folder for a case, or open the case in it.")
         make_folder(folder, advice=ADVICE)
@@ -110,9 +114,25 @@ class Case:
         return self.folder / version.file
 
     def vehicle(self, version: Version | None = None) -> Vehicle:
-        """The vehicle of a version, with the case's own effect files. Raises RequestError as `vehicle_path`."""
-        files = [self.folder / name for name in self._state.effect_files]
+        """The vehicle of a version, with the case's own effect files.
+
+        Raises RequestError as `vehicle_path`, and for effects that the user has not approved.
+        """
+        files = [file.path for file in self.effect_files()]
         return read_vehicle(self.vehicle_path(version), effect_files=files)
+
+    def vehicle_name(self, version: Version | None = None) -> str:
+        """The name in a version's file, whatever else stands there; no effects run. Raises as `vehicle_path`."""
+        path = self.vehicle_path(version)
+        try:
+            name = tomllib.loads(path.read_text(encoding="utf-8")).get("name")
+        except (OSError, ValueError):  # of TOML and UTF-8
+            name = None
+        return name if isinstance(name, str) else path.stem
+
+    def effect_files(self) -> list[EffectFile]:
+        """The case's own effect files; none are run. Raises RequestError for one outside of the case's folder."""
+        return [read_effect_file_below(self.folder, name) for name in self._state.effect_files]
 
     def add_logs(self, paths: Sequence[Path]) -> None:
         """Add logs; one that is there already, by its content, stays alone. Raises RequestError for a missing file."""
@@ -144,22 +164,29 @@ class Case:
         self.set_vehicle_text(vehicle_text(path), source=str(vehicle), action=f"chose {path.stem}")
 
     def set_vehicle_text(self, text: str, *, source: str, action: str, command: str = "") -> None:
-        """Choose a vehicle by the text of its file, whose effect files are absolute.
+        """Choose a vehicle by the text of its file, which holds the texts of its effect files.
 
         source: where it came from, as `--vehicle` takes it; command: that made it. Raises RequestError for a text that
-        is no vehicle.
+        is no vehicle, or has effects that the user has not approved.
         """
+        require_approved(effect_files_in(text), carrier=source)
         vehicle = parse_vehicle(text)
         with self._lock:
-            self._copy_effects([Path(path) for path in vehicle.effect_files])
+            self._copy_effects(vehicle.effect_files)
             self._new_version(text, parent=0, action=action, command=command)
             self._change(vehicle=source)
 
     def add_effect_file(self, path: Path) -> None:
-        """Add a file with effects of the user's own. Raises RequestError for one that defines none."""
-        read_effects(path)
+        """Add a file with effects of the user's own.
+
+        Raises RequestError for one that defines none, or that the user has not approved: it is then in the case's
+        folder, to be approved there, and the case is without it.
+        """
+        file = read_effect_file(path)
         with self._lock:
-            self._copy_effects([path])
+            place = self.folder / self._placed(file)
+            effects_of(read_effect_file(place))
+            self._copy_effects([file])
 
     def add_version(
         self,
@@ -210,7 +237,7 @@ class Case:
         parts: list[Any] = [[log.sha256 for log in state.logs], state.options.mapping, state.options.pose]
         parts.append([self._digest(name) for name in state.effect_files])
         name = step.partition(":")[0]
-        if name not in ("check", "flights"):
+        if name not in ("check", "flights", "make"):
             versions = [version or self.version, self.first_version if name == "prove" else None]
             parts += [state.options.hold_out, *(v and self._digest(v.file) for v in versions)]
         return hashlib.sha256(msgspec.json.encode([step, *parts])).hexdigest()[:16]
@@ -254,19 +281,22 @@ class Case:
         place = resolved.relative_to(self.folder) if inside else resolved
         return CaseLog(str(place), sum(file.stat().st_size for file in files_of(resolved)), sha256(resolved))
 
-    def _copy_effects(self, paths: Sequence[Path]) -> None:
+    def _copy_effects(self, files: Sequence[EffectFile]) -> None:
         """Effect files into the case's folder, those that are there already once."""
+        contents = [file.sha256 for file in self.effect_files()]
+        names = [self._placed(file) for file in files if file.sha256 not in contents]
+        self._change(effect_files=(*self._state.effect_files, *dict.fromkeys(names)))
+
+    def _placed(self, file: EffectFile) -> str:
+        """The name below the case's folder of a copy of an effect file, made where there is none."""
         folder = self.folder / EFFECTS
-        names = list(self._state.effect_files)
-        for path in paths:
-            same = [n for n in names if (self.folder / n).read_bytes() == path.read_bytes()]
-            if same:
-                continue
-            make_folder(folder, advice=ADVICE)
-            target = _free_path(folder, path.name)
-            shutil.copyfile(path, target)
-            names.append(str(target.relative_to(self.folder)))
-        self._change(effect_files=tuple(names))
+        make_folder(folder, advice=ADVICE)
+        for place in sorted(folder.glob("*.py")):
+            if not place.is_symlink() and place.is_file() and place.read_bytes() == file.text.encode():
+                return str(place.relative_to(self.folder))
+        target = _free_path(folder, file.name)
+        write_whole(target, lambda part: part.write_bytes(file.text.encode()), advice=ADVICE)
+        return str(target.relative_to(self.folder))
 
     def _new_version(self, text: str, *, parent: int, action: str, **more: Any) -> Version:
         number = max((v.number for v in self._state.versions), default=0) + 1
@@ -318,7 +348,7 @@ def _read_state(folder: Path) -> CaseState:
             advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
             raise RequestError(f"{path} is of format {number!r}. {advice}")
         return msgspec.json.decode(content, type=CaseState)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
+from dynamics.effect_source import printable
+from dynamics.errors import RequestError
 from studio.case.case import Case
 from studio.case.state import Version
 
@@ -45,7 +47,8 @@ def script(case: Case) -> str:
     logs, mapping = shlex.join(map(str, case.log_paths)), _option("--mapping", case.state.options.mapping)
     lines = [
         "#!/bin/sh",
-        f"# {case.state.name}: from the logs to version {line[-1].number} of {vehicle}, as the studio went",
+        f"# {printable(case.state.name)}: from the logs to version {line[-1].number} of {printable(vehicle)}, as the "
+        "studio went",
         "set -e",
         'out="${1:-again}"',
         'mkdir -p "$out"',
@@ -54,7 +57,7 @@ def script(case: Case) -> str:
     files: list[str] = []
     for version in line:
         files.append(f'"$out"/{shlex.quote(f"{vehicle}.v{version.number}.toml")}')
-        words = shlex.split(version.command)
+        words = _own_words(case, version)
         if version.parent:
             lines.append(_joined(shlex.join(_without(words, "--vehicle")), "--vehicle", files[-2], "--out", files[-1]))
         elif words:
@@ -68,6 +71,24 @@ def script(case: Case) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _own_words(case: Case, version: Version) -> list[str]:
+    """The command that made a version, as words: one of Alula's, with the case's own effects and no others.
+
+    Raises RequestError for another one: a case that was sent is data, and its script will be run.
+    """
+    words = shlex.split(version.command)
+    if words and (words[0] != "alula" or words[1:2] not in (["add"], ["vehicle"])):
+        raise RequestError(
+            f"version {version.number} says that it was made by {printable(version.command)!r}, which is no command "
+            "that the studio gives: the case was edited. No script is made of it."
+        )
+    if not any(word.startswith("--effects") for word in words):
+        return words
+    while "--effects" in words:
+        words = _without(words, "--effects")
+    return [*(word for word in words if not word.startswith("--effects=")), *_effects(case)]
+
+
 def _source(case: Case, version: Version | None) -> str:
     """A version as `--vehicle` takes it: the first as it was chosen, the others by their files."""
     return case.state.vehicle if version is not None and not version.parent else str(case.vehicle_path(version))
@@ -75,7 +96,7 @@ def _source(case: Case, version: Version | None) -> str:
 
 def _bundle(case: Case) -> Path:
     number = case.version.number if case.version else 0
-    return case.folder / f"{case.vehicle().name}.v{number}.bundle"
+    return case.folder / f"{case.vehicle_name()}.v{number}.bundle"
 
 
 def _effects(case: Case) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -84,8 +84,18 @@ class Choice:
     layout: Mapping[str, Any] = field(default_factory=dict)
 
 
-def picture(figure: go.Figure, height: int, description: str, *, titles: bool = False) -> Picture:
-    """A figure in the style of all pages. titles: whether its parts have titles, above which the legend is placed."""
+def picture(
+    figure: go.Figure,
+    height: int,
+    description: str,
+    *,
+    titles: bool = False,
+    legends: Callable[[go.Figure], go.Figure] = lambda figure: figure,
+) -> Picture:
+    """A figure in the style of all pages.
+
+    titles: whether its parts have titles, above which the legend is placed. legends: places them where there are more.
+    """
     head, foot = (74 if titles else 34), 48
     above = 1 + (26 / (height - head - foot) if titles else 0)
     figure.update_layout(
@@ -101,6 +111,7 @@ def picture(figure: go.Figure, height: int, description: str, *, titles: bool = 
     )
     figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor=AXIS, title_standoff=6)
     figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor=AXIS, title_standoff=6)
+    legends(figure)
     return Picture(embedded(figure.to_json(engine="json")), height, description)
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from dynamics.arrays import Floats
 from flights import Flight
 from flights.quality import Inspection
 from studio.pages.figure import (
@@ -24,18 +24,19 @@ from studio.pages.figure import (
     VERMILION,
     YELLOW,
     Picture,
-    line,
     picture,
     thinned,
 )
+from studio.pages.flight_panels import (
+    drawn_columns,
+    height_of,
+    panels_figure,
+    place_legends,
+    quantities_of,
+    shown_panels,
+)
 from studio.pages.page import Origin, render
 
-ROWS = (
-    ("velocity", "velocity", "m/s"), ("rate", "body rate", "rad/s"), ("specific_force", "specific force", "m/s²"),
-    ("rotor_speed", "rotor speed", "rad/s"), ("rotor_speed_command", "rotor command", "rad/s"),
-    ("rotor_thrust_command", "rotor command", "N"), ("rotor_command", "rotor command", ""),
-    ("battery_voltage", "battery", "V"),
-)  # fmt: skip
 COLOURS = (AFTER, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK, YELLOW)
 
 
@@ -62,30 +63,25 @@ def inspection_page(sections: Sequence[Section], *, origin: Origin) -> str:
 
 
 def _flight_lines(inspection: Inspection, flight: Flight) -> Picture | None:
-    panels = [row for row in ROWS if flight.has(row[0])]
+    panels = shown_panels(quantities_of(flight))
     if not panels:
         return None
-    figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
-    for row, (name, title, unit) in enumerate(panels, start=1):
-        values = flight[name].reshape(len(flight), -1)
-        labels = [column for column in flight.columns if column.startswith(f"{name}_")] or [name]
-        for index, (column, label) in enumerate(zip(values.T, labels, strict=False)):
-            rows = thinned([column])
-            drawn = line(
-                flight.time[rows],
-                column[rows],
-                name=label,
-                colour=COLOURS[index % len(COLOURS)],
-                unit=unit,
-                width=1,
-                showlegend=False,
-            )
-            figure.add_trace(drawn, row=row, col=1)
-        figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
+    columns = drawn_columns(flight)
+
+    def points(name: str) -> tuple[Floats, Floats]:
+        rows = thinned([columns[name]])
+        return flight.time[rows].astype(np.float32), columns[name][rows].astype(np.float32)
+
+    figure = panels_figure(panels, points, COLOURS)
     for item in inspection.exclusions:
         figure.add_vrect(x0=item.start, x1=item.stop, fillcolor="#718096", opacity=0.25, line_width=0)
-    figure.update_xaxes(title_text="time, s", row=len(panels), col=1)
-    return picture(figure, 150 * len(panels) + 60, "Lines: the log's quantities over time.")
+    places = range(1, len(panels) + 1)
+    return picture(
+        figure,
+        height_of(len(panels)),
+        "Lines: the log's quantities over time.",
+        legends=lambda drawn: place_legends(drawn, places),
+    )
 
 
 def delay_points(inspection: Inspection) -> Picture | None:
@@ -108,7 +104,7 @@ def delay_points(inspection: Inspection) -> Picture | None:
                 hovertemplate=f"{kind}: %{{x:.2f}} ± {reach:.2f} ms<extra></extra>",
             )
         )
-    figure.update_xaxes(title_text="ms by which stamps are late (blue), or by which a response lags (orange)")
+    figure.update_xaxes(title_text="ms by which stamps are late (blue),<br>or by which a response lags (orange)")
     figure.add_vline(x=0, line={"color": FLOOR, "width": 1})
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 90 + 48 * len(inspection.delays), "Points with bars: delays between the log's streams.")

@@ -14,6 +14,7 @@ from typing import Any
 
 from dynamics.errors import RequestError
 from dynamics.files import make_folder
+from dynamics.workbench_install import workbench_install
 from studio.pages.figure import Picture
 
 FORMATS = ("pdf", "svg", "png")
@@ -85,7 +86,7 @@ def _draw(requests: list[dict[str, Any]]) -> None:
         from kaleido import Kaleido
         from kaleido.errors import BrowserFailedError, ChromeNotFoundError, KaleidoError
     except ModuleNotFoundError as error:
-        raise RequestError(f"pictures as files need {error.name}: pip install 'alula[workbench]'.") from error
+        raise RequestError(f"pictures as files need {error.name}: {workbench_install()}.") from error
 
     async def write() -> tuple[Exception, ...]:
         async with Kaleido(n=TABS, mathjax=False) as browser:  # by default it asks a network for MathJax

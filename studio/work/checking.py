@@ -15,13 +15,18 @@ from dynamics.progress import Progress
 from flights import Flight, Log
 from flights.quality import Inspection
 from flights.quality.inspection import judge
-from flights.quantities import QUANTITIES, quantity_of
+from flights.quantities import QUANTITIES
+from runtime.flight_setup import VEHICLE_TEXT
+from runtime.record.recording import read_attachments
+from studio.pages.flight_panels import ANGLES, ANGLES_SETPOINT, drawn_columns, quantities_of
 from studio.pages.inspected import coverage_maps, delay_points
 from studio.work.arrays import write_arrays
 from studio.work.memory import CaseMemory
 from studio.work.results import FILES, FLIGHTS, Checked, ColumnInfo, FlightInfo, PictureInfo
 from studio.work.rows import picture_info
 from studio.work.task import Task
+
+UNITS = {name: quantity.unit for name, quantity in QUANTITIES.items()} | {ANGLES: "rad", ANGLES_SETPOINT: "rad"}
 
 
 def check(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -66,10 +71,11 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
             infos.append(FlightInfo(Path(path).name, path, refused=str(error)))
             flights.append(None)
             continue
-        table = np.array([flight.columns[name] for name in flight.columns], dtype=np.float32)
+        drawn, kinds = drawn_columns(flight), quantities_of(flight)
+        table = np.array(list(drawn.values()), dtype=np.float32)
         write_arrays(part, {f"time_{number}": flight.time, f"table_{number}": table})
-        columns = tuple(_column(name) for name in flight.columns)
-        infos.append(FlightInfo(Path(path).name, path, flight.duration, flight.rate, columns))
+        columns = tuple(ColumnInfo(name, kinds[name], UNITS[kinds[name]]) for name in drawn)
+        infos.append(FlightInfo(Path(path).name, path, flight.duration, flight.rate, columns, vehicle=_flown(path)))
         flights.append(flight)
     write_json(infos, part / FLIGHTS)
     shutil.rmtree(target, ignore_errors=True)
@@ -77,9 +83,9 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
     return infos, flights
 
 
-def _column(name: str) -> ColumnInfo:
-    kind = quantity_of(name)
-    return ColumnInfo(name, kind.name if kind else name, QUANTITIES[kind.name].unit if kind else "")
+def _flown(path: str) -> str:
+    """The text of the vehicle file that a recording holds, empty where the log is none."""
+    return read_attachments(Path(path)).get(VEHICLE_TEXT, "")
 
 
 def _has_layout(flights: list[Flight | None]) -> bool:

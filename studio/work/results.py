@@ -31,6 +31,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     rate: of the rows, Hz.
     columns: in the order of the table's rows.
     refused: the reader's message.
+    vehicle: text of the vehicle file that a recording holds, empty where there is none.
     """
 
     name: str
@@ -39,6 +40,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     rate: float = 0.0
     columns: tuple[ColumnInfo, ...] = ()
     refused: str = ""
+    vehicle: str = ""
 
 
 class PictureInfo(msgspec.Struct, frozen=True):

@@ -15,6 +15,7 @@ from studio.work.checking import check
 from studio.work.comparing import compare
 from studio.work.diagnosing import diagnose
 from studio.work.evidence import explain
+from studio.work.making import make
 from studio.work.memory import CaseMemory
 from studio.work.proving import fly, prove
 from studio.work.task import REFUSED, Refusal, Task
@@ -35,6 +36,7 @@ STEPS: Mapping[str, Step] = {
     "diagnose": diagnose,
     "explain": explain,
     "add": add,
+    "make": make,
     "prove": prove,
     "fly": fly,
     "export": export,

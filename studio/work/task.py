@@ -24,6 +24,7 @@ class Task(msgspec.Struct, frozen=True):
     effect: key of one effect, such as "weak_rotor[2]", where the step is about one.
     reference: name of the manoeuvre that is flown on the mock.
     numbers: of the step, by name.
+    name: of the vehicle that is made.
     command: the command line that does the same.
     """
 
@@ -43,6 +44,7 @@ class Task(msgspec.Struct, frozen=True):
     reference: str = ""
     numbers: dict[str, float] = {}
     command: str = ""
+    name: str = ""
 
 
 class Refusal(msgspec.Struct, frozen=True):

@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Literal
 
+from dynamics.approvals import Kind
 from dynamics.errors import AlulaError
+from dynamics.trust import approve_here, approved_here
 from flights.parallel import end_with_parent
 from studio.work.task import Task
 
@@ -94,7 +96,7 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=serve, args=(theirs, self.memory), daemon=True, name="alula studio worker"
+            target=serve, args=(theirs, self.memory, approved_here()), daemon=True, name="alula studio worker"
         )
         self._process.start()
         theirs.close()
@@ -110,9 +112,10 @@ class Worker:
         self._start()
 
 
-def serve(connection: Connection, memory: int) -> None:
-    """The loop of a worker process."""
+def serve(connection: Connection, memory: int, approved: tuple[tuple[Kind, str], ...] = ()) -> None:
+    """The loop of a worker process. approved: what may run here, as in the process that started it."""
     end_with_parent()
+    approve_here(approved)
     os.nice(NICENESS)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")

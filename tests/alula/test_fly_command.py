@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,31 @@ def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
     done = run("replay", report["recording"], "--tolerance", "0")
     assert done.returncode == 0, done.stderr
     assert "bit for bit" in done.stdout
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_planning_says_so_at_once_and_ends_at_an_interrupt(tmp_path: Path, ignored: bool) -> None:
+    """A shell starts what it puts in the background with SIGINT ignored."""
+    before = signal.getsignal(signal.SIGINT)
+    if ignored:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # which a process inherits
+    with subprocess.Popen(
+        fly("udpin:127.0.0.1:1", "--reference", "identify"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    ) as flight:
+        signal.signal(signal.SIGINT, before)
+        assert flight.stdout is not None
+        assert flight.stdout.readline().startswith("planning an identification flight")
+        flight.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        _, wrong = flight.communicate(timeout=250)
+        taken = time.monotonic() - began
+    assert flight.returncode == 130, wrong
+    assert "interrupted" in wrong
+    assert taken < 30.0  # an order of magnitude above what it takes; planning goes on for minutes
 
 
 def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_sent() -> None:

@@ -68,7 +68,12 @@ def command_of(name: str, words: list[str]) -> Any:
 
 
 @pytest.mark.parametrize(("page", "command"), [*commands_in_blocks(), *commands_of_units()])
-def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: str) -> None:
+def test_a_command_in_a_block_is_taken_by_the_command_line(
+    page: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for own in ("MINE.py", "my_effects.py"):  # read with the options, as naming it approves its content
+        shutil.copy(ROOT / "examples" / "my_effects.py", own)
     name, *arguments = shlex.split(command, comments=True)[1:]
     if "..." in arguments:  # stands for what a line above shows
         test_a_command_in_a_sentence_exists_with_its_options(page, command)
@@ -131,6 +136,7 @@ def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Pat
         write_vehicle(heavier(arpl_250g), folder / name)
     (folder / "fleet.toml").write_text("[search]\nmin_gain = 60.0\n")
     (folder / "vehicles").symlink_to(ROOT / "vehicles")
+    shutil.copy(ROOT / "examples" / "my_effects.py", folder)
     fly_campaign(folder / "build" / "campaign_learning", arpl_250g, HIDDEN, {"test/Line": "line:laps=3,ramp=1"})
     return folder
 

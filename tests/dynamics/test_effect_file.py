@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from dynamics.effect import Effect
-from dynamics.effect_file import read_effects, with_effects_of
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import EffectUse
+from tests.support.own_effects import given_catalogue, given_effects
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "my_effects.py"
 
 
 def test_the_documented_example_has_the_force_of_its_formula(arpl_250g):
-    catalogue = with_effects_of([EXAMPLE], arpl_250g)
+    catalogue = given_catalogue([EXAMPLE], arpl_250g)
     model = build_model(arpl_250g, effects=[EffectUse("tether", {"stiffness": 0.5})], catalogue=catalogue)
     state = np.array([2.0, -1.0, 1, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0])
     force = model.observe(state, np.zeros(4), model.parameter_values, ENVIRONMENT_DEFAULT)[0]
@@ -44,17 +44,17 @@ def written(folder, text):
 )
 def test_a_file_without_an_effect_is_refused(tmp_path, text, message):
     with pytest.raises(RequestError, match=message):
-        read_effects(written(tmp_path, text))
+        given_effects(written(tmp_path, text))
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(RequestError, match="is no file"):
-        read_effects(tmp_path / "absent.py")
+        given_effects(tmp_path / "absent.py")
 
 
 def test_a_name_that_is_taken_is_refused(tmp_path, arpl_250g):
     with pytest.raises(RequestError, match="'mass' already"):
-        with_effects_of([written(tmp_path, EXAMPLE.read_text().replace('"tether"', '"mass"'))], arpl_250g)
+        given_catalogue([written(tmp_path, EXAMPLE.read_text().replace('"tether"', '"mass"'))], arpl_250g)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_a_name_that_is_taken_is_refused(tmp_path, arpl_250g):
 )
 def test_an_effect_that_cannot_be_evaluated_is_refused(tmp_path, arpl_250g, change, message):
     with pytest.raises(RequestError, match=message):
-        with_effects_of([written(tmp_path, EXAMPLE.read_text().replace(*change))], arpl_250g)
+        given_catalogue([written(tmp_path, EXAMPLE.read_text().replace(*change))], arpl_250g)
 
 
 @pytest.mark.parametrize(
@@ -98,19 +98,19 @@ def test_an_effect_that_contradicts_itself_is_refused_with_its_line(tmp_path, ar
     text = text.replace(*change)
     line = next(number for number, part in enumerate(text.splitlines(), 1) if line_with in part)
     with pytest.raises(RequestError, match=f"mine.py, line {line}: .*{re.escape(reason)}"):
-        with_effects_of([written(tmp_path, text)], arpl_250g)
+        given_catalogue([written(tmp_path, text)], arpl_250g)
 
 
 def test_confusion_with_an_effect_that_there_is_not_is_refused(tmp_path, arpl_250g):
     text = EXAMPLE.read_text().replace('("linear_drag",)', '("linear_drg",)')
     with pytest.raises(RequestError, match="confounded_with names 'linear_drg'"):
-        with_effects_of([written(tmp_path, text)], arpl_250g)
+        given_catalogue([written(tmp_path, text)], arpl_250g)
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_users_file_can_hold_all_that_a_shipped_effect_has(tmp_path, arpl_250g, name):
     source = Path(importlib.import_module(f"dynamics.effects.{name}").__file__).read_text()
-    catalogue = with_effects_of([written(tmp_path, source.replace(f'name="{name}"', 'name="copy"'))], arpl_250g)
+    catalogue = given_catalogue([written(tmp_path, source.replace(f'name="{name}"', 'name="copy"'))], arpl_250g)
     ours, theirs = CATALOGUE[name], catalogue["copy"]
     for field in dataclasses.fields(Effect):
         one, other = getattr(ours, field.name), getattr(theirs, field.name)

@@ -241,6 +241,20 @@ def test_a_table_of_a_circle_is_followed_closely_and_smoothly(tmp_path: Path) ->
     np.testing.assert_allclose(before.snap, after.snap, atol=0.05)
 
 
+@pytest.mark.parametrize("step", [0.05, 0.02, 0.004])
+def test_the_rounding_of_a_table_is_no_thrust(tmp_path: Path, step: float) -> None:
+    """Snap, and with it thrust, would show rounded rows by the fourth power of how close they are."""
+    planned = named_reference("lemniscate", VEHICLE)
+    times = np.arange(0, planned.duration, step)
+    points = planned.sample(times).position
+    rows = [f"{t:.4f}," + ",".join(f"{value:.6f}" for value in point) for t, point in zip(times, points, strict=True)]
+    read = named_reference(str(write_table(tmp_path / "rounded.csv", rows)), VEHICLE)
+    between = interior(planned, 997)
+    thrust, unrounded = read.sample(between).rotor_thrust, planned.sample(between).rotor_thrust
+    full = VEHICLE.rotors.thrust_constant * VEHICLE.rotors.speed_max**2
+    assert np.abs(thrust - unrounded).max() < 0.01 * full
+
+
 def test_a_table_that_begins_and_ends_in_motion_gets_a_soft_start_and_stop(tmp_path: Path) -> None:
     reference = named_reference(str(write_table(tmp_path / "fast.csv", GOOD)), VEHICLE)
     ends = reference.sample([0.0, reference.duration])

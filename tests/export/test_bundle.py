@@ -15,9 +15,12 @@ import onnxruntime
 import pytest
 import torch
 
+import alula
+from dynamics import trust
 from dynamics.codegen import build_library, find_compiler
 from dynamics.errors import DataError, RequestError
 from dynamics.model import build_model
+from dynamics.trust import approve_here
 from dynamics.vehicle import Vehicle
 from export.bundle import Exported, ExportOptions, export_bundle
 from export.kernel import ENTRY, kernel_recipe
@@ -25,8 +28,8 @@ from export.onnx_file import OPSET
 from export.parity import Comparison, Parity
 from export.toolchain import toolchain_for
 from export.trained import exported, read_model
-from runtime.control.bundle import read_bundle
-from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.bundle import MANIFEST, parse_manifest, read_bundle, with_digest
+from runtime.control.rti.hpipm import find_hpipm, load_kernel
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.control.rti.solver import RtiSolver
@@ -152,6 +155,32 @@ def test_two_builds_of_hpipm_are_not_mixed_in_a_process(bundle_folder: Path, tmp
         file.write(b"another version")
     with pytest.raises(RequestError, match=r"another build than .*processes of their own"):
         RtiSolver(bundle.model, bundle.manifest.problem, folder / "kernel.so")
+
+
+def test_a_bundle_of_another_machine_is_refused_until_it_is_approved(
+    bundle_folder: Path, tmp_path: Path, nothing_approved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = copied(bundle_folder, tmp_path)
+    with pytest.raises(
+        RequestError, match=r"is code that would run as you(.|\n)*kernel\.so(.|\n)*alula trust "
+    ) as refusal:
+        read_bundle(folder)
+    assert hashlib.sha256((folder / "kernel.so").read_bytes()).hexdigest() in str(refusal.value)
+    with pytest.raises(RequestError, match="machine code that would run as you"):
+        load_kernel(folder / "kernel.so")
+    alula.trust(folder)
+    shutil.copytree(folder, tmp_path / "moved")
+    bundle = read_bundle(tmp_path / "moved")
+    assert RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
+    with (folder / "kernel.so").open("ab") as file:  # and a manifest that agrees with it
+        file.write(b"planted")
+    manifest = parse_manifest((folder / MANIFEST).read_bytes())
+    files = {**manifest.files, "kernel.so": hashlib.sha256((folder / "kernel.so").read_bytes()).hexdigest()}
+    edited = with_digest(msgspec.structs.replace(manifest, files=files))
+    (folder / MANIFEST).write_bytes(msgspec.json.encode(edited))
+    monkeypatch.setattr(trust, "_approved", set())
+    with pytest.raises(RequestError, match="you have not approved it on this machine"):
+        read_bundle(folder)
 
 
 def test_a_missing_file_and_a_folder_that_is_none_are_refused(bundle_folder: Path, tmp_path: Path) -> None:
@@ -306,6 +335,7 @@ def test_a_kernel_finds_hpipm_where_it_lies_here(arpl_250g: Vehicle) -> None:
 
 def test_a_kernel_that_cannot_be_loaded_is_refused(lagging: Vehicle, tmp_path: Path) -> None:
     (tmp_path / "kernel.so").write_bytes(b"no library")
+    approve_here([("library", hashlib.sha256(b"no library").hexdigest())])
     with pytest.raises(RequestError, match="cannot load"):
         RtiSolver(build_model(lagging), Problem(), tmp_path / "kernel.so")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from dynamics.trust import approve_given
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle, vehicle_toml, with_effect_files
 from export.bundle import Exported, ExportOptions, export_bundle
@@ -58,6 +59,7 @@ def test_a_bundle_flies_bit_for_bit_without_casadi_and_a_compiler(
 
 def test_a_bundle_with_an_effect_of_ones_own_flies_without_casadi(arpl_250g: Vehicle, tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN_EFFECT)
+    approve_given([tmp_path / "own.py"])
     text = with_effect_files(vehicle_toml(arpl_250g), tmp_path, [tmp_path / "own.py"])
     vehicle = parse_vehicle(text).with_effects(EffectUse("tail_push", {"force": 0.05}))
     (tmp_path / "v.toml").write_text(vehicle_toml(vehicle))

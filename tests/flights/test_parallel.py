@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from dynamics.errors import DataError, RequestError, VehicleError
+from dynamics.trust import approve_here, approved_here
 from flights.parallel import parallel_map
 
 
@@ -46,6 +47,7 @@ def test_a_killed_process_is_named() -> None:
 
 SCRIPT = """
 import operator
+from dynamics.trust import approve_here, approved_here
 from flights.parallel import parallel_map
 print(list(parallel_map(operator.neg, [1, 2], jobs=2{killed})))
 """
@@ -87,6 +89,7 @@ def test_an_item_whose_process_is_killed_once_is_done_again(tmp_path: Path) -> N
 ORPHANS = """
 import os, sys, time
 from pathlib import Path
+from dynamics.trust import approve_here, approved_here
 from flights.parallel import parallel_map
 
 def work(folder):
@@ -132,3 +135,13 @@ def test_a_dask_cluster_does_the_same() -> None:
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0", protocol="tcp"
     ) as cluster:
         assert sorted(parallel_map(square, [1, 2, 3], scheduler=cluster.scheduler_address)) == [(0, 1), (1, 4), (2, 9)]
+
+
+def approved_of(_: int) -> tuple[tuple[str, str], ...]:
+    """What is approved in the process that works."""
+    return approved_here()
+
+
+def test_processes_have_the_approvals_of_the_call(nothing_approved: Path) -> None:
+    approve_here([("effects", "a" * 64)])
+    assert [result for _, result in parallel_map(approved_of, [0, 1], jobs=2)] == [(("effects", "a" * 64),)] * 2

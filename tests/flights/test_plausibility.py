@@ -217,3 +217,17 @@ def test_a_frame_that_does_not_fit_the_quantity_is_refused(
 ) -> None:
     with pytest.raises(RequestError, match=message):
         MappedStream(name, columns, frame=frame)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("log", NANOBENCH, ids=lambda path: path.name)
+@pytest.mark.parametrize("without", [(), ("rate",), ("specific_force",)], ids=lambda names: "-".join(names) or "all")
+def test_a_quaternion_with_w_last_is_named_as_such(log: Path, without: tuple[str, ...]) -> None:
+    """It was called a specific force in g, or axes FRD."""
+    streams = [stream for stream in read_log(log).streams if stream.name not in without]
+    moved = [
+        dataclasses.replace(stream, values=stream.values[:, [1, 2, 3, 0]]) if stream.name == "attitude" else stream
+        for stream in streams
+    ]
+    assert [finding.name for finding in plausibility.check(moved)] == ["quaternion_order"]
+    assert "put w first" in plausibility.check(moved)[0].text
+    assert plausibility.check(streams) == ()

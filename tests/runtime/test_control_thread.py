@@ -94,7 +94,8 @@ def control_thread(
 
 
 def hovering() -> Decision:
-    return Decision(rate_body=np.array([0.1, 0.2, 0.3]), thrust=0.5, requests=(AutopilotRequest.ARM,))
+    rates = np.array([0.1, 0.2, 0.3])
+    return Decision(rate_body=rates, thrust=0.5, held_thrust=0.5, requests=(AutopilotRequest.ARM,))
 
 
 def test_without_estimates_the_clock_ticks_and_every_decision_is_sent() -> None:
@@ -102,9 +103,10 @@ def test_without_estimates_the_clock_ticks_and_every_decision_is_sent() -> None:
     control = control_thread(flyer, link)
     control.start()
     assert control.join(10.0)
-    assert link.setpoints == [((0.1, 0.2, 0.3), 0.5)] * 20
+    assert link.setpoints[:20] == [((0.1, 0.2, 0.3), 0.5)] * 20
+    assert set(link.setpoints[20:]) == {((0.0, 0.0, 0.0), 0.5)}  # this logic never ends its stream
     assert control.deadlines.by_clock == 20
-    assert control.autopilot_requests.qsize() == 20
+    assert control.autopilot_requests.qsize() == 21
     assert control.first_setpoint < time.monotonic()
 
 
@@ -133,8 +135,63 @@ def test_a_few_defects_are_survived_and_named() -> None:
     control = control_thread(flyer, link)
     control.start()
     assert control.join(10.0)
-    assert len(link.setpoints) == 6
+    assert link.setpoints[:6] == [((0.1, 0.2, 0.3), 0.5)] * 6
+    assert ((0.1, 0.2, 0.3), 0.5) not in link.setpoints[6:]
     assert "planted" in control.defect
+
+
+class DyingLink(SilentLink):
+    """A link whose wait for estimates fails after some ticks, outside of what a tick survives."""
+
+    def wait_for_estimate(self, newer_than: StateEstimate | None, deadline: float) -> StateEstimate | None:
+        if len(self.setpoints) >= 10:
+            raise MemoryError("planted")
+        return super().wait_for_estimate(newer_than, deadline)
+
+
+class FailingFlyer(ScriptedFlyer):
+    """Flight logic that decides the same for some ticks and raises in every one after them."""
+
+    def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
+        decision = super().step(observation, estimate)
+        if len(self.observations) > 10:
+            raise ZeroDivisionError("planted")
+        return decision
+
+
+def turning() -> Decision:
+    return Decision(rate_body=np.array([0.0, 4.5, 0.0]), thrust=0.3, held_thrust=0.55)
+
+
+@pytest.mark.parametrize("cause", ["dies", "raises", "stop"])
+def test_whatever_ends_the_thread_the_last_setpoint_can_be_held(cause: str) -> None:
+    link = DyingLink() if cause == "dies" else SilentLink()
+    flyer = FailingFlyer(turning()) if cause == "raises" else ScriptedFlyer(turning())
+    requests, recorder = Requests(), ListRecorder()
+    control = control_thread(flyer, link, requests, recorder)
+    control.start()
+    wait_until(lambda: len(link.setpoints) >= 10)
+    requests.stop = cause == "stop"
+    assert control.join(10.0)
+    assert link.setpoints[-3:] == [((0.0, 0.0, 0.0), 0.55)] * 3
+    assert control.autopilot_requests.get_nowait() is AutopilotRequest.LAND
+    recorded = [record for record in recorder.records if isinstance(record, SetpointRecord)]
+    assert recorded[-1].thrust == 0.55
+    assert cause == "stop" or "planted" in control.defect
+
+
+def test_a_stream_that_the_flight_logic_has_ended_is_not_ended_again() -> None:
+    class Ending(ScriptedFlyer):
+        def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
+            decision = super().step(observation, estimate)
+            return decision if len(self.observations) < 10 else Decision()
+
+    flyer, link = Ending(turning(), ticks=20), SilentLink()
+    control = control_thread(flyer, link)
+    control.start()
+    assert control.join(10.0)
+    assert link.setpoints == [((0.0, 4.5, 0.0), 0.3)] * 9
+    assert control.autopilot_requests.empty()
 
 
 def test_defects_without_end_stop_the_stream_with_a_notification() -> None:
@@ -144,7 +201,7 @@ def test_defects_without_end_stop_the_stream_with_a_notification() -> None:
     assert control.join(10.0)
     assert link.setpoints == []
     assert len(flyer.observations) == MAX_DEFECTS
-    assert "the autopilot's failsafe acts" in str(control.notifications.get_nowait())
+    assert "stopped streaming" in str(control.notifications.get_nowait())
 
 
 @pytest.mark.parametrize("decision", [Decision(), hovering()])
@@ -165,7 +222,8 @@ def test_every_tick_is_recorded_with_its_setpoint() -> None:
     assert [tick.tick for tick in ticks] == list(range(10))
     assert {tick.trigger for tick in ticks} == {"clock"}
     setpoints = [record for record in recorder.records if isinstance(record, SetpointRecord)]
-    assert [record.thrust for record in setpoints] == [0.5] * 10
+    assert [record.time for record in setpoints[:10]] == [tick.time for tick in ticks]
+    assert [record.thrust for record in setpoints[:10]] == [0.5] * 10
 
 
 def test_a_defect_is_recorded_once_and_its_tick_counts() -> None:

@@ -36,6 +36,7 @@ from runtime.link.connection import parse_endpoint
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
 from runtime.replay import replay
+from runtime.setpoint_stream import SetpointStream
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
@@ -335,7 +336,9 @@ def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: V
 
 
 class Stuck:
-    """A control thread that does not end."""
+    """A control thread that does not end, and has sent nothing."""
+
+    stream = SetpointStream(None, lambda record, time: None)  # type: ignore[arg-type]
 
     def join(self, timeout: float) -> bool:
         return False

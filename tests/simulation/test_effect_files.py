@@ -6,8 +6,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from dynamics.effect_source import read_effect_file
 from dynamics.errors import DataError, RequestError
 from dynamics.own_effects import catalogue_of
+from dynamics.trust import approve_given
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_editing import edited_toml
 from dynamics.vehicle_file import parse_vehicle, read_vehicle, vehicle_text
@@ -37,7 +39,7 @@ def tethered(arpl_250g: Vehicle, tmp_path: Path) -> Path:
 
 def test_a_vehicle_names_its_files_relative_to_itself(tethered: Path) -> None:
     vehicle = read_vehicle(tethered)
-    assert vehicle.effect_files == (str(tethered.with_name("mine.py")),)
+    assert [file.path for file in vehicle.effect_files] == [str(tethered.with_name("mine.py"))]
     assert "tether" in catalogue_of(vehicle)
     assert parse_vehicle(vehicle_text(tethered)) == vehicle
 
@@ -45,7 +47,7 @@ def test_a_vehicle_names_its_files_relative_to_itself(tethered: Path) -> None:
 def test_a_file_that_is_not_there_or_given_twice(tethered: Path) -> None:
     assert read_vehicle(tethered, effect_files=[tethered.with_name("mine.py")]) == read_vehicle(tethered)
     tethered.with_name("mine.py").unlink()
-    with pytest.raises(RequestError, match=r"mine\.py is no file"):
+    with pytest.raises(RequestError, match=r"mine\.py is no file with effects: there is none"):
         read_vehicle(tethered)
 
 
@@ -55,7 +57,7 @@ def test_the_next_version_keeps_the_files_and_adds_those_of_the_command(tethered
     assert 'effect_files = ["mine.py"]' in edited_toml(text, heavier, folder=folder)
     plain = Path("vehicles/arpl_250g.toml").read_text()
     added = arpl_250g.with_effects(EffectUse("tether", {"stiffness": 0.2}))
-    added = msgspec.structs.replace(added, effect_files=(str(folder / "mine.py"),))
+    added = msgspec.structs.replace(added, effect_files=(read_effect_file(folder / "mine.py"),))
     assert 'effect_files = ["mine.py"]' in edited_toml(plain, added, folder=folder)
 
 
@@ -91,8 +93,9 @@ def test_a_replay_refuses_another_files_content(tethered: Path, tmp_path: Path) 
     assert vehicle == parse_vehicle(request.attachments[VEHICLE_TEXT])
     mine = tethered.with_name("mine.py")
     mine.write_text(mine.read_text() + "\n# changed\n")
+    approve_given([mine])
     with pytest.raises(DataError, match="was flown with another mine"):
-        recorded_flight(recording, None, None)
+        recorded_flight(recording, None, None, [mine])
 
 
 @pytest.mark.parametrize("lacking", ["reference", "plan"])

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from dynamics.effect_file import with_effects_of
 from dynamics.integrators import required_steps
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse, Vehicle
 from runtime.control.controller import Controller
 from simulation.lockstep import fly_reference
+from tests.support.own_effects import given_catalogue
 
 TAU = 0.003  # s, a twentieth of a shooting node
 LAG = '''
@@ -31,7 +31,7 @@ EFFECT = Effect(
 def test_a_users_lag_is_integrated_in_steps_that_it_can_bear(arpl_250g: Vehicle, tmp_path: Path) -> None:
     path = tmp_path / "brisk_rotors.py"
     path.write_text(LAG)
-    catalogue = with_effects_of([path], arpl_250g)
+    catalogue = given_catalogue([path], arpl_250g)
     vehicle = arpl_250g.with_effects(EffectUse("brisk_rotors", {"tau": TAU}))
     controller = Controller.build(vehicle, catalogue=catalogue)
     node = controller.solver.problem.node
@@ -46,7 +46,7 @@ def test_a_users_lag_is_integrated_in_steps_that_it_can_bear(arpl_250g: Vehicle,
 def test_a_users_lag_moves_the_simulated_vehicle(arpl_250g: Vehicle, tmp_path: Path) -> None:
     path = tmp_path / "brisk_rotors.py"
     path.write_text(LAG)
-    catalogue = with_effects_of([path], arpl_250g)
+    catalogue = given_catalogue([path], arpl_250g)
     ours, theirs = EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("brisk_rotors", {"tau": 0.03})
     flown = [
         fly_reference(arpl_250g, named_reference("line:size=1", arpl_250g), effects=[use], catalogue=catalogue, seed=1)

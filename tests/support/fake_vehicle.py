@@ -61,7 +61,7 @@ class FakeVehicle:
         self.send(mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_PX4, mode, self.custom_mode, 3, 3))
 
     def send_odometry(self, **overrides: Any) -> None:
-        self.send(odometry(time_usec=int(self.clock() * 1e6), **overrides))
+        self.send(odometry(**{"time_usec": int(self.clock() * 1e6), **overrides}))
 
     def count(self, name: str) -> int:
         return sum(message.get_type() == name for message in list(self.received))

@@ -133,7 +133,7 @@ class Flight:
         # (9,) errors of the estimated position, velocity and attitude (rotation vector, body) at a time
         self.estimate_error: Callable[[float], Floats] = self.estimator()
         self.reset = np.zeros(3)
-        self.engage, self.leave = True, ""
+        self.engage, self.leave, self.stop = True, "", False
         self._past: list[tuple[float, Floats]] = []
         self._estimate: StateEstimate | None = None
         self._setpoint = (np.zeros(3), 0.0)
@@ -186,6 +186,7 @@ class Flight:
             specific_force_z=float(force[2]),
             engage=self.engage,
             leave=self.leave,
+            stop=self.stop,
             specific_force_xy=force[:2],
         )
         self.engage, self.reset = False, np.zeros(3)

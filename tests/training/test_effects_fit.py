@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dynamics.effect_file import with_effects_of
 from dynamics.effects import motor_lag
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_effect
+from tests.support.own_effects import given_catalogue
 from tests.training.conftest import MakePlan
 from training.effects_fit import fit_effects, named_effects, with_rotor_lag
 
@@ -35,7 +35,7 @@ def test_a_users_own_lag_is_fitted_by_its_own_time_constant(
         text = text.replace(old, new)
     path = tmp_path / "own_lag.py"
     path.write_text(text)
-    catalogue = with_effects_of([path], arpl_250g)
+    catalogue = given_catalogue([path], arpl_250g)
     plan = plan_for("pi_tcn", vehicle=arpl_250g)
     named = named_effects(arpl_250g, [EffectUse("own_lag")], catalogue)
     assert with_rotor_lag(plan.config, named, plan.training, catalogue) is named

@@ -15,11 +15,11 @@ from dynamics.references.campaign import paper_campaign
 from flights.aligned import read_aligned
 from flights.exclusion import free_flight
 from flights.flight import Flight
+from flights.folder import CAMPAIGN, folder_content
 from flights.hold_out import cuts_in_time, matching
 from flights.source import sha256
 from flights.tables import decode_notes
 
-CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
 VALIDATION_SHARE = 0.1
 VALIDATION_TIME_SHARE = 0.2  # of the only flight
 MIN_SEGMENT = 1.0  # s; shorter segments are not used
@@ -55,20 +55,19 @@ class Split:
     notes: tuple[str, ...]
 
 
-def find_logs(paths: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Files as they are, the training flights of a campaign's folder, all files of any other folder.
+def find_logs(paths: Sequence[str | Path], mapping: str | Path | None = None) -> tuple[Path, ...]:
+    """Files as they are, the training flights of a campaign's folder, all logs below any other folder.
 
-    Raises RequestError for what is not there.
+    mapping: column mapping (TOML) of tables. Raises RequestError for what is not there.
     """
     logs: list[Path] = []
     for path in map(Path, paths):
         if not path.is_dir():
             logs.append(path)
             continue
-        folder = path / "train" if (path / CAMPAIGN).exists() else path
-        inside = sorted(file for file in folder.glob("*") if file.is_file() and not file.name.startswith("."))
+        inside = folder_content(path, mapping).logs
         if not inside:
-            raise RequestError(f"{folder} holds no files. Give logs, a folder of logs, or a campaign's folder.")
+            raise RequestError(f"{path} holds no logs. Give logs, a folder of logs, or a campaign's folder.")
         logs += inside
     if not logs:
         raise RequestError("no log was given. Give logs, a folder of logs, or a campaign's folder.")

@@ -8,7 +8,6 @@ carries the libraries that its kernel was built against.
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import os
 from dataclasses import dataclass
@@ -16,7 +15,10 @@ from importlib import util
 from pathlib import Path
 
 from dynamics import symbolic
+from dynamics.codegen import is_compiled_here
 from dynamics.errors import RequestError
+from dynamics.trust import Library, load_given_library, load_own_library
+from dynamics.workbench_install import workbench_install
 
 HPIPM = "libhpipm.so"
 BLASFEO = ("libblasfeo.so.0", "libblasfeo.so")  # the first that exists
@@ -69,8 +71,8 @@ def casadi_hpipm() -> HpipmBuild:
     casadi = util.find_spec("casadi") if symbolic.is_installed() else None
     if casadi is None or casadi.origin is None:
         raise RequestError(
-            "compiling a kernel needs CasADi's HPIPM, which the flight computer's install leaves out: pip install "
-            "'alula[workbench]', or `alula export` the model on a workbench and give `--bundle B` here."
+            "compiling a kernel needs CasADi's HPIPM, which the flight computer's install leaves out: "
+            f"{workbench_install()}, or `alula export` the model on a workbench and give `--bundle B` here."
         )
     root = Path(casadi.origin).parent
     build = _build_in(root / "include", root)
@@ -85,17 +87,21 @@ def libraries_in(folder: Path) -> tuple[Path, Path] | None:
     return (blasfeo, folder / HPIPM) if blasfeo is not None and (folder / HPIPM).exists() else None
 
 
-def load_kernel(library: Path) -> ctypes.CDLL:
+def load_kernel(library: Path, *, own: bool = False) -> Library:
     """A compiled kernel, with HPIPM loaded before it: its own from beside it, else this machine's.
 
-    Raises RequestError when it does not fit this machine, or when another HPIPM is loaded in this process already.
+    own: whether it is one of this installation's; one that was compiled here is so anyway.
+
+    Raises RequestError when it does not fit this machine, when another HPIPM is loaded in this process already, or for
+    a kernel of a bundle that the user has not approved.
     """
-    dependencies = libraries_in(library.parent) or find_hpipm().libraries
+    load = load_own_library if own or is_compiled_here(library) else load_given_library
+    bundled = libraries_in(library.parent)
     try:
-        for dependency in dependencies:
+        for dependency in bundled or find_hpipm().libraries:
             _require_same(dependency)
-            ctypes.CDLL(str(dependency))
-        return ctypes.CDLL(str(library))
+            (load if bundled else load_own_library)(dependency)
+        return load(library)
     except OSError as error:
         raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
 

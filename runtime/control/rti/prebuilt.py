@@ -23,6 +23,7 @@ from dynamics.integrators import steps_within
 from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
+from dynamics.workbench_install import workbench_install
 from runtime.control.kernel_model import FlownModel, KernelFacts, KernelModel, nominal_kernel_model
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS, Processor
@@ -42,7 +43,7 @@ def flown_model(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -
     if facts is None:
         raise RequestError(
             f"the effects of {vehicle.name} need CasADi, which the flight computer's install leaves out: {EXPORT}, or "
-            "pip install 'alula[workbench]'."
+            f"{workbench_install()}."
         )
     return KernelModel.of(vehicle, facts)
 
@@ -60,7 +61,7 @@ def solver_library(model: FlownModel, problem: Problem) -> Path:
             return path
     raise RequestError(
         f"no compiled controller of {model.vehicle.name} with {problem.nodes} nodes in {problem.horizon:g} s came with "
-        f"this install, and making one needs CasADi and a C compiler: {EXPORT}, or pip install 'alula[workbench]' and "
+        f"this install, and making one needs CasADi and a C compiler: {EXPORT}, or {workbench_install()} and "
         "a compiler, such as Debian's gcc."
     )
 

@@ -87,6 +87,7 @@ class RtiSolver:
     disturbance: (14,) accelerations beyond the model that its predictions have: six that stay, six that fade, both
         linear m/s^2, world axes, and angular rad/s^2, body axes; and the rates at which these fade, 1/s. A view.
     follows: whether the kernel has what parameters that follow in flight need; a network's alone has not.
+    rotor_speed_places: where a state holds the rotors' real speeds, a place for each lag of the model; empty without.
     certainty: (2,) of a learned model since the last `assess`: the members' disagreement over what one validation row
         in 100 exceeds, NaN for one member alone, and the share of the network's output that predictions have.
     assesses: whether the kernel is a network's.
@@ -102,7 +103,7 @@ class RtiSolver:
     def __init__(self, model: FlownModel, problem: Problem, library: Path | None = None) -> None:
         """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
-        self._code = load_kernel(library or solver_library(model, problem))
+        self._code = load_kernel(library or solver_library(model, problem), own=library is None)
         self.trim = trim_of(model)
         options = fill_options(problem, model, self.trim)
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
@@ -148,7 +149,8 @@ class RtiSolver:
         self._shares_at = address(self._shares.ctypes.data)
         self._segments, self._segment_seconds = np.zeros((MAX_SEGMENTS, inputs)), np.zeros(MAX_SEGMENTS)
         self._segments_at = address(self._segments.ctypes.data), address(self._segment_seconds.ctypes.data)
-        self._lagged = _speed_states(model)
+        self.rotor_speed_places = _speed_places(model)
+        self._lagged = self.rotor_speed_places[-1].start if self.rotor_speed_places else -1
         self.follows = hasattr(self._code, "rti_fly")
         self._references_at = (
             address(self.state_reference.ctypes.data),
@@ -408,11 +410,9 @@ class RtiSolver:
         return np.ctypeslib.as_array(pointer(self._handle), shape=shape)
 
 
-def _speed_states(model: FlownModel) -> int:
-    """Where a model's states of the rotors' real speeds begin; -1 without a lag."""
+def _speed_places(model: FlownModel) -> tuple[slice, ...]:
+    """Where a model's state holds the rotors' real speeds: a place for each lag of theirs."""
     if isinstance(model, Model):  # with the catalogue that it was built with
-        active = model.effects
-    else:
-        active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
-    places = [item.hidden[item.effect.rotor_speed_state] for item in active if item.effect.rotor_speed_state]
-    return int(places[-1].start) if places else -1
+        return model.rotor_speed_places
+    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
+    return tuple(item.hidden[item.effect.rotor_speed_state] for item in active if item.effect.rotor_speed_state)

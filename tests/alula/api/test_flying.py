@@ -53,6 +53,27 @@ def test_signals_call_the_daemon_and_are_restored_afterwards() -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGALRM", "SIGXCPU"])
+def test_no_signal_that_can_be_handled_ends_or_stops_the_process(name: str) -> None:
+    calls: list[str] = []
+    with landing_on_signals(calls.append):
+        os.kill(os.getpid(), getattr(signal, name))
+        os.kill(os.getpid(), getattr(signal, name))
+        assert calls == [name]  # repeated, it is still one request to land
+    assert signal.getsignal(getattr(signal, name)) is signal.SIG_DFL
+
+
+def test_a_signal_that_is_ignored_stays_ignored() -> None:
+    calls: list[str] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with landing_on_signals(calls.append):
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert calls == []
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_outside_of_the_main_thread_signals_stay_as_they_are() -> None:
     errors: list[Exception] = []
 

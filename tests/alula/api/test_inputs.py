@@ -9,6 +9,7 @@ import pytest
 
 import alula
 from alula.api.inputs import log_paths
+from dynamics.effect_source import read_effect_file
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def test_effects_of_ones_own_may_be_named_by_the_vehicle(tmp_path: Path) -> None
     vehicle = alula.load_vehicle("arpl_250g").with_effects(alula.EffectUse("tether", {"stiffness": 0.1}))
     alula.write_vehicle(vehicle, tmp_path / "tethered.toml")
     effects = [Path(__file__).parents[3] / "examples" / "my_effects.py"]
-    loaded = msgspec.structs.replace(vehicle, effect_files=(str(effects[0]),))
+    loaded = msgspec.structs.replace(vehicle, effect_files=(read_effect_file(effects[0]),))
     assert alula.load_vehicle(tmp_path / "tethered.toml", effect_files=effects) == loaded
     with pytest.raises(alula.RequestError, match="unknown effect 'tether'"):
         alula.load_vehicle(tmp_path / "tethered.toml")

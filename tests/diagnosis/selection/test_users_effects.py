@@ -15,11 +15,11 @@ from diagnosis.selection.design_matrix import evaluate_design
 from diagnosis.selection.sensor_errors import sensor_biases
 from diagnosis.selection.visibility import needs_battery
 from dynamics.effect import Effect, Hidden, Parameter, Prior, Wrench
-from dynamics.effect_file import with_effects_of
 from dynamics.effects import battery_sag, gust, imu_bias, time_delay
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
 from flights.quality.identifiable import answers
+from tests.support.own_effects import given_catalogue
 
 TIME = Parameter("time", "s", "", 1e-5, 1.0, lambda _: Prior(0.1, 0.1))
 EXAMPLE = Path(__file__).parents[3] / "examples" / "my_effects.py"
@@ -34,7 +34,7 @@ def catalogue(tmp_path_factory, arpl_250g):
         path = folder / f"{name}.py"
         path.write_text(Path(module.__file__).read_text().replace(f'name="{name}"', f'name="my_{name}"'))
         files.append(path)
-    return with_effects_of(files, arpl_250g)
+    return given_catalogue(files, arpl_250g)
 
 
 @pytest.fixture(scope="module")

@@ -39,6 +39,25 @@ def diagnosed(tmp_path_factory):
     return answers
 
 
+@pytest.mark.parametrize(("seed", "linear", "quadratic"), [(6, 0.8, 0.2), (8, 0.6, 0.3)])
+def test_both_drags_of_a_body_that_is_slimmer_along_z_are_named(tmp_path, seed, linear, quadratic):
+    """Their form is not quite right, and two that resemble each other trade values: neither was named."""
+    plain = Campaign({}, {}, Recorder(50.0), lag_declared=False, fast=True, flights=5, seed=seed, duration=9.0)
+    sizes = {"linear_drag": linear * plain.frame.mass, "parasitic_drag": quadratic * plain.frame.mass}
+    shaped = {"linear": sizes["linear_drag"], "quadratic": sizes["parasitic_drag"], "vertical": 0.6}
+    campaign = replace(plain, hidden={"shaped_drag": shaped})
+    write_campaign(campaign, flown([campaign])[0], tmp_path)
+    vehicle = read_vehicle(tmp_path / "vehicle.toml")
+    dataset = read_dataset(sorted(tmp_path.glob("*.csv")), vehicle)
+    diagnosis = diagnose_dataset(dataset, vehicle, SOME).diagnosis
+    named = {effect.name: effect.parameters["coefficient"].value for effect in diagnosis.effects}
+    assert named.keys() == sizes.keys()
+    for name, value in named.items():
+        assert value == pytest.approx(sizes[name], rel=0.2)
+    assert diagnosis.verdict == "unknown"  # what the form leaves is said
+    assert diagnosis.channels["mocap"].after < 0.3 * diagnosis.channels["mocap"].before
+
+
 @pytest.mark.parametrize("name", FORCES)
 def test_a_force_outside_the_catalogue_is_unknown_and_nothing_is_named(diagnosed, name):
     diagnosis = diagnosed[name]

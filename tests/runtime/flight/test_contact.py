@@ -12,9 +12,10 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, VELOCITY
 from dynamics.vehicle import GRAVITY
-from runtime.flight.contact import ExternalForce, ForceMeter, Ground, GroundProbe, LandingContact
+from runtime.flight.contact import ExternalForce, ForceMeter, LandingContact
 from runtime.flight.crash import CrashDetector
 from runtime.flight.events import Event
+from runtime.flight.ground_probe import Ground, GroundProbe
 from runtime.flight.thrust import ThrustResponse
 
 FLIGHTS = Path(__file__).parents[2] / "data" / "px4_contacts"
@@ -95,8 +96,12 @@ def samples(acceleration: Floats, thrust: float, attitude: Floats, count: int = 
 
 
 def probed(acceleration: Floats, attitude: Floats, thrust: float) -> Ground:
-    probe, force = GroundProbe(0.0, 9.81, 9.81, tilt=0.0, landing=False), samples(acceleration, thrust, attitude)
-    verdicts = [probe.update(force, thrust, attitude, 0.3 + 0.01 * tick) for tick in range(10)]
+    """What a probe finds of a vehicle that accelerates like this, m/s^2, world, under a thrust per mass, m/s^2."""
+    probe, force = GroundProbe(0.0, 9.81, 9.81, climb_rate=0.0, levelling=0.0), samples(acceleration, thrust, attitude)
+    verdicts = [
+        probe.update(force, thrust, attitude, since, climb_rate=float(acceleration[2]) * since, low=True)
+        for since in np.arange(0.0, 0.3, 0.01).tolist()
+    ]
     return next((verdict for verdict in verdicts if verdict is not Ground.OPEN), Ground.OPEN)
 
 
@@ -116,18 +121,13 @@ def test_a_storm_that_was_there_before_the_probe_does_not_carry(carried: bool) -
     attitude = quaternion.from_euler(0.0, -np.radians(40.0), 0.0)
     up = np.asarray(quaternion.rotate(attitude, np.array([0.0, 0.0, 1.0])))
     acceleration = np.zeros(3) if carried else thrust * up - np.array([0.0, 0.0, GRAVITY]) + storm
-    force = samples(acceleration, thrust, attitude)
-    probe = GroundProbe(0.0, 9.81, 9.81, tilt=0.0, landing=False, usual=storm)
-    verdicts = [probe.update(force, thrust, attitude, 0.3 + 0.01 * tick) for tick in range(10)]
-    assert (Ground.CARRIES in verdicts) == carried
-    assert (Ground.ABSENT in verdicts) == (not carried)
+    assert probed(acceleration, attitude, thrust) is (Ground.CARRIES if carried else Ground.ABSENT)
 
 
-def test_thrust_goes_away_within_half_a_second_and_not_below_its_floor_in_flight() -> None:
-    landing = GroundProbe(0.0, 8.0, 9.81, tilt=0.1, landing=True)
-    assert landing.thrust(0.01) < 0.61 * 9.81
-    assert landing.thrust(0.5) == 0.0
-    assert GroundProbe(0.0, 8.0, 9.81, tilt=0.1, landing=False).thrust(1.0) == pytest.approx(0.3 * 9.81)
+def test_a_probe_reduces_thrust_within_a_third_of_a_second_and_not_below_its_floor() -> None:
+    probe = GroundProbe(0.0, 8.0, 9.81, climb_rate=0.0, levelling=0.1)
+    assert probe.thrust(0.01) < 0.61 * 9.81
+    assert probe.thrust(0.3) == probe.thrust(1.0) == pytest.approx(0.3 * 9.81)
 
 
 def test_without_inertial_samples_the_velocity_shows_the_force() -> None:

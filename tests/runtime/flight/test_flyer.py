@@ -226,8 +226,11 @@ def test_an_estimator_reset_moves_the_reference_along(vehicle: Vehicle, controll
 def test_the_pilot_s_mode_switch_is_respected(vehicle: Vehicle, controller: Controller) -> None:
     flight = tracking(vehicle, controller)
     flight.mode = "POSCTL"
-    flight.run(0.02)
+    switched = len(flight.story.decisions)
+    flight.run(0.1)
     assert flight.story.decisions[-1].rate_body is None
+    last = [decision.rate_body for decision in flight.story.decisions[switched:] if decision.rate_body is not None]
+    assert not np.any(last)  # still ones, for a pilot who returns to OFFBOARD within COM_OF_LOSS_T
     assert Event.MODE_CHANGED in flight.story.raised
     flight.mode = "OFFBOARD"
     flight.run(1.0)

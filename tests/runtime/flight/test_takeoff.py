@@ -39,7 +39,7 @@ def test_vehicles_lighter_or_heavier_than_modelled_lift_off_gently(effectiveness
     assert ramp.lifted
     assert height < 0.3
     assert climb < 0.8
-    assert ramp.effectiveness(0.07) == pytest.approx(effectiveness, rel=0.15)
+    assert ramp.effectiveness == pytest.approx(effectiveness, rel=0.15)
 
 
 def test_an_estimate_that_sinks_at_rest_does_not_hide_the_lift_off() -> None:
@@ -108,4 +108,4 @@ def test_an_estimate_that_drifts_upward_at_rest_does_not_falsify_the_effectivene
     ramp, _, climb = lift_off(effectiveness, drift=drift, inertial=True)
     assert ramp.lifted
     assert climb < 1.0
-    assert ramp.effectiveness(0.07) == pytest.approx(effectiveness, rel=0.2)
+    assert ramp.effectiveness == pytest.approx(effectiveness, rel=0.2)

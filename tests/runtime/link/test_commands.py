@@ -76,7 +76,8 @@ def test_a_refused_arming_has_its_reason(link: Link, vehicle: FakeVehicle) -> No
 def test_arming_and_forced_disarming(link: Link, vehicle: FakeVehicle) -> None:
     assert commands.set_armed(link, True).confirmed
     assert commands.set_armed(link, False, force=True).confirmed
-    forced = [m for m in vehicle.received if m.get_type() == "COMMAND_LONG"][-1]
+    arming = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    forced = [m for m in vehicle.received if m.get_type() == "COMMAND_LONG" and m.command == arming][-1]
     assert (forced.param1, forced.param2) == (0.0, 21196.0)
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from runtime.link import framing
 from runtime.link.dialect import MESSAGE_IDS, mavlink
 from runtime.link.framing import FrameParser
 from tests.support.fake_vehicle import odometry
@@ -110,3 +111,21 @@ def test_messages_stay_whole_when_read_one_byte_at_a_time() -> None:
     parser, data = FrameParser(), pack(odometry(time_usec=5, x=1.5, reset_counter=3))
     frames = [frame for byte in data for frame in parser.feed(bytes([byte]))]
     assert [frame.message.x for frame in frames] == [1.5]
+
+
+@pytest.mark.parametrize("pattern", [b"\xfe", b"\xfd", b"\xfe\x05", b"\xfe\xff\x21", b"\xfd\xff\x00\x00\x00\x00\x00"])
+def test_a_byte_costs_no_more_behind_many_false_markers_than_behind_few(
+    pattern: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[int] = []
+    checksum = framing.mcrf4xx
+    monkeypatch.setattr(framing, "mcrf4xx", lambda data: checked.append(len(data)) or checksum(data))
+    searched = FrameParser()
+    costs = []
+    for size in (2_000, 20_000):
+        checked.clear()
+        searched.feed((pattern * size)[:size])
+        assert len(checked) <= size  # no place is checked twice
+        costs.append(len(checked) / size)
+    assert costs[1] <= 1.2 * costs[0] + 0.01
+    assert modes(searched, FRAMES[0]) == [0x10000]

@@ -164,7 +164,7 @@ def test_other_systems_are_heard_but_never_answered(link: Link, vehicle: FakeVeh
 def test_a_vehicle_that_changes_its_port_is_followed(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.sends = False
     with FakeVehicle((LOCAL, port_of(link))) as moved:
-        wait_until(lambda: moved.count("HEARTBEAT"))
+        wait_until(lambda: moved.count("HEARTBEAT") > 0)
 
 
 def test_a_wrong_system_id_is_reported_with_those_heard() -> None:
@@ -335,8 +335,11 @@ def test_battery_and_outputs_are_read(harness: PeerHarness) -> None:
 
 def test_a_failsafe_is_observed_in_mode_and_state(harness: PeerHarness) -> None:
     harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3), 1.0)
-    harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 4 << 16 | 5 << 24, mavlink.MAV_STATE_CRITICAL, 3), 2.0)
-    assert [event.name for event in harness.events][-2:] == ["mode_changed", "vehicle_critical"]
+    failsafe = mavlink.MAVLink_heartbeat_message(2, 12, 128, 4 << 16 | 5 << 24, mavlink.MAV_STATE_CRITICAL, 3)
+    harness.feed(failsafe, 2.0)
+    harness.feed(failsafe, 2.02)
+    assert [event.name for event in harness.events][-2:] == ["vehicle_critical", "mode_changed"]
+    assert "RTL" in harness.events[-2].text
     assert harness.peer.status.mode == "RTL"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -96,6 +97,27 @@ def test_a_good_link_is_ready(port: int, vehicle: StreamingVehicle) -> None:
     assert report.parameters["MC_YAW_P"] == pytest.approx(2.8)
     assert report.vehicle.battery_voltage == pytest.approx(16.0)
     assert report.acknowledgements_of_mode == 0
+
+
+class HastyVehicle(StreamingVehicle):
+    """A vehicle whose estimates are stamped ahead of the clock by which it answers TIMESYNC."""
+
+    lead = 3.0
+
+    def send_odometry(self, **overrides: Any) -> None:
+        super().send_odometry(time_usec=int((self.clock() + self.lead) * 1e6), **overrides)
+
+
+@pytest.mark.parametrize("lead", [3.0, 0.5, 1000.0])
+def test_estimates_from_the_future_are_refused_with_the_figure(port: int, lead: float) -> None:
+    vehicle = HastyVehicle(port)
+    vehicle.lead = lead
+    with vehicle:
+        report = check(port)
+    assert not report.is_ready
+    figure = re.search(r"ODOMETRY is stamped (\d+\.\d+) s ahead", problems(report))
+    assert figure is not None, report.problems
+    assert float(figure[1]) == pytest.approx(lead, abs=0.1)
 
 
 def test_only_message_rates_are_requested_and_the_streams_are_reset_to_their_defaults(

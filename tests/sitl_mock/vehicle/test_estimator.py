@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,7 @@ from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from sitl_mock.mock import MockOptions, Surroundings, build_autopilot, usual_surroundings
-from sitl_mock.vehicle.estimator import ERRORS, PX4_SENSORS, PX4_WANDER, Drift
+from sitl_mock.vehicle.estimator import ERRORS, PX4_SENSORS, PX4_WANDER, Drift, Wander
 from sitl_mock.vehicle.sensors import next_wander
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
@@ -51,6 +53,8 @@ def test_px4s_estimate_errs_as_it_was_measured() -> None:
     centred = wandering(40, 45.0)
     centred = centred - centred.mean(axis=0)
     spread = np.median(centred.std(axis=0), axis=0)
+    inertial = np.array([0.15, 0.10])  # m, m/s, vertically, that the filter integrates of the accelerometer's noise
+    spread[[2, 5]] = np.hypot(spread[[2, 5]], inertial)
     measured = [0.11, 0.15, 0.24, 0.18, 0.23, 0.14, *np.radians([0.75, 0.63, 0.59])]
     np.testing.assert_allclose(spread, measured, rtol=0.15)
     correlation = {}
@@ -96,6 +100,25 @@ def test_errors_go_on_on_the_ground_but_smaller(px4_sih: Vehicle) -> None:
     standing = errors_of(SimulatedVehicle(px4_sih, options=options, seed=60), 60.0)
     spread = np.median([part.std(axis=0)[3:6] for part in np.array_split(standing, 20)], axis=0)
     np.testing.assert_allclose(spread, [0.06, 0.03, 0.05], rtol=0.5)
+
+
+def test_with_turning_rotors_the_estimate_climbs_at_rest_with_the_accelerometer_s_noise(px4_sih: Vehicle) -> None:
+    """As in the take-offs of PX4: by up to 0.3 m/s, where the mean of the samples is above gravity's."""
+
+    def at_rest_with_rotors(seed: int, wander: Wander) -> tuple[float, float]:
+        vehicle = SimulatedVehicle(px4_sih, options=VehicleOptions(sensors=PX4_SENSORS, wander=wander), seed=seed)
+        forces = []
+        for _ in range(140):
+            vehicle.advance(ControlSetpoint("rates", rate_body=np.zeros(3), thrust=0.1), True, 0.01)
+            forces.append(vehicle.imu.specific_force_body[2])
+        return float(np.mean(forces)), float(vehicle.estimate_now.velocity_world[2])
+
+    without = dataclasses.replace(PX4_WANDER, inertial_time=(0.0, 0.0))
+    means, climbs = np.array([at_rest_with_rotors(seed, PX4_WANDER) for seed in range(12)]).T
+    rest = [at_rest_with_rotors(seed, without)[1] for seed in range(12)]
+    integrated = climbs - rest
+    assert np.corrcoef(means, integrated)[0, 1] > 0.6
+    assert np.std(integrated) == pytest.approx(1.4 * np.sqrt(0.004 * 1.4), rel=0.5)
 
 
 def test_inertial_samples_are_means_of_two_and_quiet_while_the_rotors_stand(px4_sih: Vehicle) -> None:

@@ -11,10 +11,16 @@ from typing import Any
 import pytest
 from flask.testing import FlaskClient
 
+import alula
+from dynamics.effect_source import sha256_of
 from dynamics.errors import RequestError
+from dynamics.trust import approve_here
 from studio.app.server import MAX_FIGURE, PORT, make_app, serve
 from studio.app.studio import Studio, default_root
+from vehicles import FOLDER
 
+OWN_EFFECTS = Path(__file__).parents[3] / "examples" / "my_effects.py"
+BUNDLED = (FOLDER / "arpl_250g.toml").read_text(encoding="utf-8")
 BASE = f"http://127.0.0.1:{PORT}"
 
 
@@ -99,9 +105,33 @@ def test_a_vehicle_file_that_cannot_be_used_is_refused_with_its_message(client: 
 
 def test_an_effect_file_without_an_effect_is_refused(client: FlaskClient, studio: Studio) -> None:
     name = studio.create(name="effects")
+    approve_here([("effects", sha256_of("x = 1"))])
     answer = client.put(f"/case/{name}/effects?name=e.py", base_url=BASE, data=b"x = 1")
     assert answer.status_code == 400
     assert "my_effects.py" in answer.get_data(as_text=True)
+
+
+@pytest.mark.usefixtures("nothing_approved")
+def test_uploaded_effects_run_once_their_content_is_approved(
+    client: FlaskClient, studio: Studio, tmp_path: Path
+) -> None:
+    name = studio.create(name="own effects")
+    opened = studio.case(name)
+    assert opened is not None
+    text = f"import pathlib\npathlib.Path({str(tmp_path / 'RAN')!r}).touch()\n{OWN_EFFECTS.read_text()}"
+    address = f"/case/{name}/effects?name=e.py"
+    answer = client.put(address, base_url=BASE, data=text.encode())
+    place = opened.case.folder / "effects" / "e.py"
+    assert (answer.status_code, place.read_text()) == (400, text)
+    assert f"`alula trust {place}`" in answer.get_data(as_text=True)
+    assert opened.case.state.effect_files == ()
+    vehicle = f'effect_files = ["effects/e.py"]\n{BUNDLED}'
+    assert client.put(f"/case/{name}/vehicle?name=v.toml", base_url=BASE, data=vehicle.encode()).status_code == 400
+    assert not (tmp_path / "RAN").exists()
+    alula.trust(place)
+    assert client.put(address, base_url=BASE, data=text.encode()).status_code == 200
+    assert opened.case.state.effect_files == ("effects/e.py",)
+    assert (tmp_path / "RAN").exists()
 
 
 def test_versions_and_cases_are_downloaded(client: FlaskClient, studio: Studio) -> None:
@@ -148,7 +178,7 @@ def test_a_picture_cannot_be_printed_without_what_prints(client: FlaskClient, mo
     monkeypatch.setitem(sys.modules, "kaleido", None)
     answer = _save(client, b'{"data": [], "layout": {}, "width": 700, "height": 300}')
     assert answer.status_code == 400
-    assert "pip install 'alula[workbench]'" in answer.get_data(as_text=True)
+    assert "[workbench]'" in answer.get_data(as_text=True)
 
 
 def test_an_unknown_case_is_no_page(client: FlaskClient) -> None:

@@ -8,11 +8,13 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from dynamics.errors import RequestError
 from studio.case.archive import unpack_archive, write_archive
 from studio.case.case import Case, is_case
+from studio.case.commands import script
 from studio.case.state import ChannelLevel, Options
 
 OWN_EFFECT = Path(__file__).parents[3] / "examples" / "my_effects.py"
@@ -187,3 +189,39 @@ def test_a_vehicle_that_cannot_be_used_changes_nothing(case: Case, tmp_path: Pat
     with pytest.raises(RequestError):
         case.set_vehicle(bad)
     assert case.state == before
+
+
+@pytest.mark.usefixtures("nothing_approved")
+@pytest.mark.parametrize("name", ["effects/e.py", "../e.py", "WHOLE/e.py", "logs/link.py"])
+def test_a_case_that_was_sent_runs_nothing(tmp_path: Path, name: str) -> None:
+    case = Case.create(tmp_path / "sent", name="sent")
+    case.set_vehicle("arpl_250g")
+    payload = f"import pathlib\npathlib.Path({str(tmp_path / 'RAN')!r}).touch()\n"
+    for folder in ("effects", "logs"):
+        (case.folder / folder).mkdir()
+    for place in (case.folder / "effects" / "e.py", tmp_path / "e.py"):
+        place.write_text(payload)
+    (case.folder / "logs" / "link.py").symlink_to(tmp_path / "e.py")
+    case.close()
+    state = msgspec.json.decode((case.folder / "case.json").read_bytes())
+    state["effect_files"] = [name.replace("WHOLE", str(tmp_path))]
+    (case.folder / "case.json").write_bytes(msgspec.json.encode(state))
+    there = Case.open(case.folder)
+    with pytest.raises(RequestError, match=r"you have not approved|does not lie beside"):
+        there.vehicle()
+    assert there.vehicle_name() == "arpl_250g"
+    there.close()
+    assert not (tmp_path / "RAN").exists()
+
+
+@pytest.mark.parametrize("command", ["curl x | sh", "sh -c x", "alula fly --bundle b", "alula trust evil.py"])
+def test_the_script_of_a_case_that_was_edited_is_refused(case: Case, command: str) -> None:
+    assert case.version is not None
+    case._change(versions=(msgspec.structs.replace(case.version, command=command),))
+    with pytest.raises(RequestError, match="no command that the studio gives"):
+        script(case)
+
+
+def test_a_case_adds_no_line_to_its_script(case: Case) -> None:
+    case._change(name="x\ntouch RAN")
+    assert "\ntouch RAN" not in script(case)

@@ -22,7 +22,7 @@ def test_a_campaigns_folder_stands_for_its_training_flights(tmp_path: Path) -> N
     assert [path.name for path in find_logs([tmp_path])] == ["a.parquet", "b.parquet"]
     assert [path.name for path in find_logs([tmp_path / "test"])] == ["Lemniscate.parquet"]
     (tmp_path / "nothing").mkdir()
-    with pytest.raises(RequestError, match="holds no files"):
+    with pytest.raises(RequestError, match="holds no logs"):
         find_logs([tmp_path / "nothing"])
 
 

@@ -1,0 +1,93 @@
+"""The logs of a folder, and its files that are none: notes, vehicle files, results beside the logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynamics.errors import AlulaError, DataError, RequestError
+from flights import mapping as mappings
+from flights.mapping import Mapping
+from flights.quantities import quantity_of
+from flights.readers import csv, mapped_csv
+from flights.reading import logs_below, sniff
+from flights.source import Source, opened
+from flights.tables import TIME
+
+CAMPAIGN, TRAINING_FLIGHTS = (
+    "campaign.json",
+    "train",
+)  # a campaign's recipe, and the folder of its flights to learn from
+# By such a name an empty file is a damaged log, not something else.
+SUFFIXES = (".ulg", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
+
+
+@dataclass(frozen=True)
+class FolderContent:
+    """Files below a folder. logs: in the order of their names. others: files that are no logs."""
+
+    logs: tuple[Path, ...]
+    others: tuple[Path, ...]
+
+
+def folder_content(folder: Path, mapping: str | Path | None = None) -> FolderContent:
+    """The logs below a folder; of a campaign's folder its training flights.
+
+    A tlog beside a recording of the same name holds the same flight and is left out. A log that is damaged is a log.
+    mapping: column mapping (TOML) of its tables. Raises RequestError for a folder or a mapping that cannot be read.
+    """
+    columns = None if mapping is None else mappings.read_mapping(Path(mapping))
+    is_campaign = (folder / CAMPAIGN).is_file() and (folder / TRAINING_FLIGHTS).is_dir()
+    try:
+        files = list(logs_below(folder / TRAINING_FLIGHTS if is_campaign else folder))
+    except OSError as error:
+        place = error.filename or folder
+        raise RequestError(
+            f"cannot read the folder {place}: {error.strerror or error}. Give one that can be read."
+        ) from error
+    files = [file for file in files if not (file.suffix == ".tlog" and file.with_suffix(".mcap").exists())]
+    logs = tuple(file for file in files if is_log(file, columns))
+    return FolderContent(logs, tuple(file for file in files if file not in set(logs)))
+
+
+def is_log(path: Path, mapping: Mapping | None = None) -> bool:
+    """Whether a file is a log of a known format, whole or damaged, or a table of the mapping's columns."""
+    try:
+        with opened(path) as source:
+            if mapping is not None and _names(source, mapping) & set(mapping.columns):
+                return True
+            sniff(source)
+            return True
+    except DataError:
+        return path.suffix.lower() in SUFFIXES or path.suffixes[-1:] == [".gz"]
+    except RequestError:
+        return _is_readable(path) is False or _has_flight_columns(path)
+
+
+def _names(source: Source, mapping: Mapping) -> set[str]:
+    try:
+        return set(mapped_csv.header_of(source, mapping))
+    except AlulaError:
+        return set()
+
+
+def _has_flight_columns(path: Path) -> bool:
+    """Whether a table has a time and a quantity of a flight, in whatever form: a log that needs a word of advice."""
+    try:
+        with opened(path) as source:
+            line = source.first_line()
+    except AlulaError:
+        return False
+    names: Sequence[str] = max((csv.names_of(line, separator) for separator in ",;\t"), key=len)
+    return TIME in names and any(quantity_of(name) is not None for name in names)
+
+
+def _is_readable(path: Path) -> bool:
+    try:
+        with path.open("rb"):
+            return True
+    except IsADirectoryError:
+        return True
+    except OSError:
+        return False

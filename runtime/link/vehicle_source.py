@@ -1,0 +1,47 @@
+"""The address that the vehicle's datagrams come from: a stranger who knows its ids is not the vehicle."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Any
+
+Address = tuple[Any, ...]
+
+PORT_PATIENCE = 2.0  # s of silence after which the vehicle may send from another port: a restarted autopilot or router
+
+
+class VehicleSource:
+    """Decides which datagrams with the vehicle's ids are the vehicle's. Pure: time comes in with each of them.
+
+    The first one fixes address and port. Another port of the same address counts after a silence of PORT_PATIENCE,
+    another address never, unless the vehicle roams. A stream (serial, TCP) has one other end and no address.
+
+    roaming: whether the vehicle may change its address as it may change its port: a modem that changes networks.
+    address: host and port; None before the first datagram and on a stream.
+    rejected: datagrams with the vehicle's ids from elsewhere.
+    stranger: where the latest of them came from.
+    """
+
+    def __init__(self, *, roaming: bool = False) -> None:
+        self._roaming = roaming
+        self._heard = -inf
+        self.address: Address | None = None
+        self.rejected = 0
+        self.stranger: Address | None = None
+
+    def accepts(self, source: Address | None, time: float) -> bool:
+        """Whether a datagram with the vehicle's ids is the vehicle's. time: of its arrival, s, monotonic."""
+        if source is None:
+            return True
+        source = source[:2]
+        if source != self.address and not self._may_move_to(source, time):
+            self.rejected += 1
+            self.stranger = source
+            return False
+        self.address, self._heard = source, time
+        return True
+
+    def _may_move_to(self, source: Address, time: float) -> bool:
+        if self.address is None:
+            return True
+        return time - self._heard >= PORT_PATIENCE and (self._roaming or source[0] == self.address[0])
