@@ -313,7 +313,8 @@ class Flyer:
         landing, velocity = self.mission.phase in LANDING, now.velocity_world
         near = landing and self._ground.may_be_near(self.mission, now.state, reported_landed=False)
         climb = float(quaternion.rotate_inverse(now.attitude, velocity)[2])
-        self.effectiveness.measure(force, now.time, float(np.linalg.norm(velocity)), climb=climb, landing=near)
+        speed, sideways = float(np.linalg.norm(velocity)), (float(self._force[0]), float(self._force[1]))
+        self.effectiveness.measure(force, now.time, speed, climb=climb, sideways=sideways, landing=near)
         if (left := self._available_thrust / self._vehicle.weight) < MIN_THRUST:
             self._pending[Event.THRUST_LOST] = f"at most {left:.2f} of the weight"
         if landing:

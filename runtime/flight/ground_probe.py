@@ -36,7 +36,8 @@ class GroundProbe:
     MIN_DEFICIT = 0.3  # of the weight that the force which would keep it at rest must be to judge the ground
     DOUBT = MAX_FILE_ERROR  # factor by which the modelled thrust may be too small
     CARRIED, FALLING = 0.6, 0.3  # shares of the force that would keep it at rest which something else gives
-    HOLD, HOLD_HIGH = 0.04, 0.3  # s that the force must hold; where the height speaks against the ground
+    HOLD, HOLD_HIGH = 0.04, 0.3  # s that a sign must hold; where the height speaks against the ground
+    MAX_SINKING = 1.2  # m/s, of an estimate whose velocity errs by 0.8 m/s at rest, at which nothing carries
     FALLEN, DOUBTFUL_FALL = 0.5, 0.15  # share of a fall without ground, and m/s, that shows it
     PATIENCE = 0.8  # s after which the likelier counts
 
@@ -69,7 +70,8 @@ class GroundProbe:
         deficit = GRAVITY - lift
         self._expected += max(deficit, 0.0) * (time - self._last)
         self._last = time
-        falls = self._climb_rate - climb_rate > self.FALLEN * self._expected + self.DOUBTFUL_FALL
+        sinks = climb_rate < -self.MAX_SINKING  # steadily, where air drag carries a part
+        falls = sinks or self._climb_rate - climb_rate > self.FALLEN * self._expected + self.DOUBTFUL_FALL
         judged = force.covered and deficit > self.MIN_DEFICIT * GRAVITY
         felt = force.up + lift
         greatest_lift = max(lift, 0.0) * self.DOUBT
@@ -80,7 +82,7 @@ class GroundProbe:
         lasting = self._lasting.update(certain and not falls, time)
         if (carried if low else lasting) and time >= self._ramp:  # levelled
             return Ground.CARRIES
-        if self._falling.update(judged and force.up < self.FALLING * deficit, time):
+        if self._falling.update(sinks or (judged and force.up < self.FALLING * deficit), time):
             return Ground.ABSENT
         if time - self._started > self.PATIENCE:
             doubtful = judged and force.up < 0.5 * (self.CARRIED + self.FALLING) * deficit

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, inf, isfinite, nan, sqrt
+from math import exp, hypot, inf, isfinite, nan, sqrt
 
 import msgspec
 import numpy as np
@@ -164,7 +164,8 @@ class ThrustLoss:
     """Whether thrust has gone for good: for a fifth of a second the specific force lacks more than shocks explain.
 
     Nothing that a vehicle meets takes specific force away for so long without holding it down, and neither does the
-    ground. A filter's gate would reject it as a shock, and what flies would take it for a force from outside.
+    ground. Wind that pushes against the thrust of a vehicle that leans into it pushes it sideways as well, and lost
+    thrust does not. A filter's gate would reject it as a shock, and what flies would take it for a force from outside.
     """
 
     TIME = 0.2  # s
@@ -174,34 +175,44 @@ class ThrustLoss:
     DRAG = 2.0  # m/s^2 per m/s of climb, which is no loss
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, float, float, float]] = deque()
+        self._samples: deque[tuple[float, ...]] = deque()
 
     def clear(self) -> None:
         """Forget all samples."""
         self._samples.clear()
 
     def update(
-        self, time: float, specific_force: float, modelled: float, value: float, *, changing: float, climb: float
+        self,
+        time: float,
+        specific_force: tuple[float, float, float],
+        modelled: float,
+        value: float,
+        *,
+        changing: float,
+        climb: float,
     ) -> float:
         """The share of thrust that is left, 1 where none is lost.
 
-        time: s. specific_force, modelled: along body z, at effectiveness 1, m/s^2. value: the effectiveness.
-        changing: thrust that is still to follow its setpoint, m/s^2. climb: along body z, m/s.
+        time: s. specific_force: body, m/s^2; NaN across the thrust where it is not measured. modelled: along body z,
+        at effectiveness 1, m/s^2. value: the effectiveness. changing: thrust that is still to follow its setpoint,
+        m/s^2. climb: along body z, m/s.
         """
         samples, doubt = self._samples, self.DRAG * max(climb, 0.0) + 0.5 * changing
-        samples.append((time, min(max(specific_force, -self.MAX_FORCE), self.MAX_FORCE), modelled, doubt))
+        felt = (min(max(part, -self.MAX_FORCE), self.MAX_FORCE) if isfinite(part) else 0.0 for part in specific_force)
+        samples.append((time, *felt, modelled, doubt))
         while samples[0][0] < time - self.TIME - 1e-6:
             samples.popleft()
         if time - samples[0][0] < 0.9 * self.TIME:
             return 1.0
         table = np.array(samples)[:, 1:]
-        noise = sqrt(0.5 * float(np.mean(np.diff(table[:, 0]) ** 2)))
+        noise = sqrt(0.5 * float(np.mean(np.diff(table[:, 2]) ** 2)))
         for half in np.array_split(table, 2):  # a shock is over before both lack it
-            felt, thrust, doubted = np.mean(half, axis=0).tolist()
-            if felt + doubted + self.DEVIATIONS * noise / sqrt(len(half)) > (1.0 - self.SHARE) * value * thrust:
+            across, along, axial, thrust, doubted = np.mean(half, axis=0).tolist()
+            doubted += self.DEVIATIONS * noise / sqrt(len(half)) + hypot(across, along)
+            if axial + doubted > (1.0 - self.SHARE) * value * thrust:
                 return 1.0
         self.clear()
-        return max(float(felt) / (value * float(thrust)), 0.0)
+        return max(float(axial) / (value * float(thrust)), 0.0)
 
 
 class EffectivenessEstimator:
@@ -251,11 +262,18 @@ class EffectivenessEstimator:
         return self.value * self._response.advance(time)
 
     def measure(
-        self, specific_force: float, time: float, speed: float = 0.0, *, climb: float = 0.0, landing: bool = False
+        self,
+        specific_force: float,
+        time: float,
+        speed: float = 0.0,
+        *,
+        climb: float = 0.0,
+        sideways: tuple[float, float] = (0.0, 0.0),
+        landing: bool = False,
     ) -> bool:
         """Take a specific force along body z, m/s^2, measured in flight. Returns whether it was used.
 
-        speed: m/s. climb: velocity along body z, m/s. landing: whether the ground may carry a part of the weight, which
+        speed: m/s. climb: velocity along body z, m/s. sideways: specific force along body x and y, m/s^2. landing: whether the ground may carry a part of the weight, which
         looks like more thrust; then only a loss of it counts, and what follows within a second.
         """
         settings = self._settings
@@ -268,7 +286,8 @@ class EffectivenessEstimator:
             self._loss.clear()
             return False
         changing = abs(self._response.target - self._response.thrust) / self._mass
-        left = self._loss.update(time, specific_force, modelled, self.value, changing=changing, climb=climb)
+        force = (*sideways, specific_force)
+        left = self._loss.update(time, force, modelled, self.value, changing=changing, climb=climb)
         if left < 1.0:
             self._restart(left * self.value, time)
             return True

@@ -80,7 +80,8 @@ def flown(flight: dict[str, Floats]) -> tuple[list[float], list[Floats], list[bo
         state, force = flight["state"][row], flight["specific_force"][row]
         attitude, velocity = state[ATTITUDE], state[VELOCITY]
         climb = float(quaternion.rotate_inverse(attitude, velocity)[2])
-        estimator.measure(float(force[2]), time, float(np.linalg.norm(velocity)), climb=climb)
+        sideways = (float(force[0]), float(force[1]))
+        estimator.measure(float(force[2]), time, float(np.linalg.norm(velocity)), climb=climb, sideways=sideways)
         estimator.command(float(flight["thrust"][row]), time)
         meter.update(force, estimator.thrust(time) / MASS, attitude, (time, velocity), time)
         meter.learn(0.01)
@@ -148,6 +149,19 @@ def test_force_alone_is_no_ground_where_the_estimate_falls_and_lasts_longer_wher
     assert near.index(Ground.CARRIES) < 25
     assert high.index(Ground.CARRIES) > near.index(Ground.CARRIES) + 20
     assert Ground.CARRIES not in verdicts_of(-0.8 * GRAVITY, low=True)
+
+
+def test_a_steady_fall_that_air_brakes_is_no_ground() -> None:
+    """At 2.2 m/s, where drag and half of the thrust carry the weight: the force stays, and so does the speed."""
+    probe, meter = GroundProbe(0.0, WEIGHT, WEIGHT, climb_rate=-2.2, levelling=0.5), ForceMeter()
+    verdicts = []
+    for tick in range(100):
+        time, velocity = 0.01 * tick, np.array([0.0, 0.0, -2.2])
+        thrust = probe.thrust(time) * GRAVITY / WEIGHT
+        meter.update(np.array([0.0, 0.0, GRAVITY]), thrust, quaternion.IDENTITY, (time, velocity), time)
+        verdicts.append(probe.update(meter.force, thrust, quaternion.IDENTITY, time, climb_rate=-2.2, low=True))
+    assert Ground.CARRIES not in verdicts
+    assert verdicts.index(Ground.ABSENT) < 10
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.0])
