@@ -273,8 +273,9 @@ class EffectivenessEstimator:
     ) -> bool:
         """Take a specific force along body z, m/s^2, measured in flight. Returns whether it was used.
 
-        speed: m/s. climb: velocity along body z, m/s. sideways: specific force along body x and y, m/s^2. landing: whether the ground may carry a part of the weight, which
-        looks like more thrust; then only a loss of it counts, and what follows within a second.
+        speed: m/s. climb: velocity along body z, m/s. sideways: specific force along body x and y, m/s^2.
+        landing: whether the ground may carry a part of the weight, which looks like more thrust; then only a loss of it
+        counts, and what follows within a second.
         """
         settings = self._settings
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
