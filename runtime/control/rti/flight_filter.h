@@ -36,7 +36,6 @@ typedef struct {
 /* What happened between two estimates, for the guard. */
 typedef struct {
     double seconds, staying[AXES], fading[AXES]; /* the disturbance as it was at the first */
-    double flown[2 * AXES];                      /* of it, both parts, what predictions had where it is trusted */
     double beyond[AXES], beyond_file[AXES];      /* what velocity and rate changed by beyond both models */
 } filter_step;
 
@@ -158,20 +157,14 @@ static double filter_significance(const flight_filter *f) {
     return square > variance ? 1 - variance / square : 0;
 }
 
-/* What predictions have of the disturbance where it is trusted: both parts (2 AXES). */
-static void filter_trusted(const flight_filter *f, double *trusted) {
-    const double significance = filter_significance(f);
-    for (int i = 0; i < AXES; i++) {
-        const double share = i < 3 ? significance : 1;
-        trusted[i] = share * f->state[STAYING + i] + (i < 3 ? f->kept[i] : 0);
-        trusted[AXES + i] = share * f->state[FADING + i];
-    }
-}
-
 /* What predictions are to have of the disturbance: both parts (2 AXES), as far as they are trusted. */
 static void filter_flown(const flight_filter *f, double moments, double *flown) {
-    filter_trusted(f, flown);
-    for (int i = 0; i < 2 * AXES; i++) flown[i] *= i % AXES < 3 ? f->trust[0] : f->trust[1] * moments;
+    const double significance = filter_significance(f);
+    for (int i = 0; i < AXES; i++) {
+        const double trust = i < 3 ? f->trust[0] : f->trust[1] * moments, share = i < 3 ? trust * significance : trust;
+        flown[i] = share * f->state[STAYING + i] + (i < 3 ? trust * f->kept[i] : 0);
+        flown[AXES + i] = share * f->state[FADING + i];
+    }
 }
 
 /* Let what is not flown of the disturbance, as it may be noise, be flown where it persists: a constant one is, to all of
@@ -196,14 +189,13 @@ static void filter_follow_level(flight_filter *f, const double *away, double sec
     filter_set_level(f, fmin(fmax(LEVEL_MARGIN * sqrt(fmax(f->unexplained, 0)) / (seconds * o->fading[0]), o->calm), 1));
 }
 
-/* Compare what the adapted and the file's model have forecast: velocity and rate `forecast` seconds later, by what is
- * flown of the disturbance and not by all of its estimate, whose noise is not flown. Where the adapted one has been worse over the last `averaging` seconds, what was estimated fades from the flight, and returns. */
+/* Compare what the adapted and the file's model have forecast: velocity and rate `forecast` seconds later. Where the
+ * adapted one has been worse over the last `averaging` seconds, what was estimated fades from the flight, and returns. */
 static void guard(flight_filter *f, const double *change, const double *change_by_file, const double *measured,
                   const double *before, double dt) {
     const filter_options *o = &f->options;
     filter_step *now = &f->steps[f->step_count % GUARD_STEPS];
     now->seconds = dt;
-    filter_trusted(f, now->flown);
     for (int i = 0; i < AXES; i++) {
         now->staying[i] = f->state[STAYING + i], now->fading[i] = f->state[FADING + i];
         now->beyond[i] = measured[i] - before[i] - change[i];
@@ -223,7 +215,7 @@ static void guard(flight_filter *f, const double *change, const double *change_b
     filter_follow_level(f, away, seconds, dt);
     for (int i = 0; i < AXES; i++) {
         const double fade = o->fading_time[i] * (1 - exp(-seconds / o->fading_time[i]));
-        const double error = beyond[i] - first->flown[i] * seconds - first->flown[AXES + i] * fade;
+        const double error = beyond[i] - first->staying[i] * seconds - first->fading[i] * fade;
         square[i / 3][0] += error * error;
         square[i / 3][1] += beyond_file[i] * beyond_file[i];
     }
