@@ -162,6 +162,7 @@ def test_a_case_that_is_opened_again_stands_where_it_stood(
     _wait(page, "check", "done")
     place = page.url
     other = browser.new_page()
+    other.goto(address)
     other.goto(place)
     other.set_default_timeout(PATIENCE)
     expect(other.locator("#step-check")).to_have_attribute("data-status", "done")
@@ -192,6 +193,7 @@ def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
     place = page.url
     page.close()
     later = browser.new_page()
+    later.goto(address)
     later.goto(place)
     _wait(later, "diagnose", "done")
     expect(later.locator("#verdict-sentence")).to_contain_text("linear_drag")
