@@ -47,7 +47,9 @@ class Output:
                 raise OSError(0, "no name was given behind --log-file")
             log = Path(self.log_file).open("a", encoding="utf-8")  # noqa: SIM115
             self._log = self._stack.enter_context(log)  # until `finish`
-            self._log.write(f"# {time.strftime('%Y-%m-%d %H:%M:%S %z')} {shlex.join(['alula', *_without_secrets(words)])}\n")
+            self._log.write(
+                f"# {time.strftime('%Y-%m-%d %H:%M:%S %z')} {shlex.join(['alula', *_without_secrets(words)])}\n"
+            )
         if self.quiet or self._log is not None:
             stdout: Any = Printed(sys.stdout, self._log, muted=self.quiet)
             self._stack.enter_context(contextlib.redirect_stdout(stdout))

@@ -17,6 +17,7 @@ from alula.cli.options import Effects, HoldOut, Mapping, Pose
 from alula.cli.output import print_next, print_secret
 from alula.workbench import workbench
 from dynamics.errors import RequestError
+from dynamics.unpacking import raise_limits
 
 if TYPE_CHECKING:
     from studio.app.studio import Studio
@@ -54,6 +55,17 @@ def studio(
             "processes: give it in the environment.",
         ),
     ] = None,
+    unpack_files: Annotated[
+        int | None, typer.Option(min=1, help="Files that an archive may hold. [default: 10000]", show_default=False)
+    ] = None,
+    unpack_gb: Annotated[
+        float | None,
+        typer.Option(min=0.001, help="GB that a compressed file may become. [default: 16]", show_default=False),
+    ] = None,
+    unpack_ratio: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Times its own bytes that it may become. [default: 100]", show_default=False),
+    ] = None,
 ) -> None:
     """Open the studio: compare, see, add, and watch the error fall, by clicks.
 
@@ -66,6 +78,7 @@ def studio(
         from studio.app.studio import Studio, default_root
     os.environ.pop(VARIABLE, None)  # the browser and the working processes need none
     owner = Owner(token or "")
+    raise_limits(files=unpack_files, gigabytes=unpack_gb, ratio=unpack_ratio)
     room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
     try:
         results = [room.open_result(path) for path in result or []]
@@ -109,9 +122,9 @@ def _case(
     from studio.case.state import Options
 
     if case is not None and is_case(case):
-        if logs or vehicle:
-            raise RequestError(f"{case} holds a case already. Open it alone, and add logs on its page.")
-        return f"case/{room.open(case)}/log"
+        if vehicle:
+            raise RequestError(f"{case} holds a case already. Open it alone, and choose the vehicle on its page.")
+        return f"case/{room.open(case, logs=log_paths(logs, mapping) if logs else [], mapping=mapping)}/log"
     if case is None and not logs:
         if vehicle:
             raise RequestError("a vehicle without a log. Give logs too, or choose the vehicle on the page.")

@@ -108,13 +108,13 @@ class Door:
         request = Request(environ, populate_request=False)
         brings_token = self._owner.is_in_address(request)
         if not brings_token and not self._owner.is_known(request, self._port):
-            return self._refusal(401, "")(environ, start_response)
+            return _sent(self._refusal(401, ""), environ, start_response)
         if reason := self._foreign(request):
-            return self._refusal(403, reason)(environ, start_response)
+            return _sent(self._refusal(403, reason), environ, start_response)
         if not brings_token:
             return self._inside(environ, start_response)
         if request.method in ("GET", "HEAD") and "text/html" in request.headers.get("Accept", ""):
-            return self._with_cookie(self._redirect(request))(environ, start_response)
+            return _sent(self._with_cookie(self._redirect(request)), environ, start_response)
 
         def start(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
             return start_response(status, [*headers, *cookie], *error)
@@ -156,6 +156,11 @@ class Door:
         name, value = self._owner.cookie(self._port)
         response.set_cookie(name, value, httponly=True, samesite="Strict", path="/")
         return response
+
+
+def _sent(response: Response, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
+    parts: Iterable[bytes] = response(environ, start_response)
+    return parts
 
 
 def _is_same(given: str, secret: str) -> bool:

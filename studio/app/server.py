@@ -82,7 +82,7 @@ def make_app(studio: Studio, port: int, owner: Owner | None = None) -> dash.Dash
     build(app, studio)
     policy = _content_policy(app)
     server.after_request(lambda response: _with_headers(response, policy))
-    server.wsgi_app = Door(server.wsgi_app, owner or Owner(), port)  # type: ignore[method-assign]
+    server.wsgi_app = Door(server.wsgi_app, owner or Owner(), port)
     return app
 
 
