@@ -18,7 +18,7 @@ from dynamics.effect_source import printable
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_whole
 from dynamics.inside import path_inside
-from dynamics.unpacking import CHUNK, FILES, Unpacking, limit_of
+from dynamics.unpacking import FILES, Unpacking, limit_of
 from studio.case.case import Case, files_of, is_device
 from studio.case.links import set_links
 from studio.case.state_file import (
@@ -36,6 +36,7 @@ from studio.case.state_file import (
 
 ENDING = ".alula.zip"
 BYTES_OF_ENTRY = 2_048  # that an entry may have in an archive's list of contents; names of 100 characters take 200
+ZIP_CHUNK = 1 << 16  # bytes that are unpacked at once, and at most read for it
 ENCRYPTED = 0x1  # flag of an entry
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # whose output is bounded for every byte that is read
 
@@ -102,19 +103,20 @@ def unpack_archive(path: Path, folder: Path) -> Path:
 
 
 def _extract(archive: zipfile.ZipFile, entries: Iterable[zipfile.ZipInfo], folder: Path, unpacking: Unpacking) -> None:
-    packed = 0
+    packed = 0  # bytes of the entries that are done
     for entry in entries:
         unpacking.add_file()
         target = inside(folder, entry.filename.rstrip("/"))
         if entry.is_dir():
             target.mkdir(parents=True, exist_ok=True)
             continue
-        packed += entry.compress_size
         target.parent.mkdir(parents=True, exist_ok=True)
         with archive.open(entry) as source, target.open("xb") as file:
-            while chunk := source.read(CHUNK):
-                unpacking.add_bytes(len(chunk), packed)
+            while chunk := source.read(ZIP_CHUNK):
+                read = 0 if archive.fp is None else archive.fp.tell() - entry.header_offset
+                unpacking.add_bytes(len(chunk), packed + min(read, entry.compress_size))
                 file.write(chunk)
+        packed += entry.compress_size
 
 
 def _require_case(path: Path, entries: list[zipfile.ZipInfo]) -> None:

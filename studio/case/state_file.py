@@ -82,10 +82,12 @@ def locked(folder: Path) -> IO[str]:
     try:
         # neither a link nor a pipe that somebody has put there, and nothing is cut off
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(folder / LOCK_FILE, flags, 0o600)
-        file = os.fdopen(descriptor, "r+" if stat.S_ISREG(os.fstat(descriptor).st_mode) else "r", encoding="utf-8")
+        file = os.fdopen(os.open(folder / LOCK_FILE, flags, 0o600), encoding="utf-8")
     except OSError as error:
         raise RequestError(f"cannot write in {folder}: {error.strerror or error}. {ADVICE}") from error
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise RequestError(f"{folder / LOCK_FILE} is no regular file. Remove it.")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -138,6 +138,27 @@ def test_a_log_becomes_a_better_model_by_clicks(
     assert after < 0.5 * before
 
 
+def test_the_browser_has_the_token_nowhere_and_runs_no_text(page: Page, browser: Browser, address: str) -> None:
+    place, _, token = address.partition("?token=")
+    page.goto(address)
+    page.get_by_role("button", name="New case").click()
+    expect(page.get_by_text("No log yet.")).to_be_visible()
+    assert token not in page.url
+    assert token not in page.content()
+    assert page.evaluate("document.cookie") == ""  # HttpOnly
+    (cookie,) = page.context.cookies()
+    assert token not in cookie["value"]
+    assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Strict")
+    add = "code => { const s = document.createElement('script'); s.text = code; document.head.append(s); }"
+    page.evaluate(add, "window.ran = true")
+    assert page.evaluate("window.ran") is None
+    stranger = browser.new_page()
+    answer = stranger.goto(place)
+    assert answer is not None
+    assert (answer.status, answer.body()) == (401, b"")
+    stranger.close()
+
+
 def test_a_file_that_is_no_log_is_refused_on_the_page_and_the_page_lives_on(
     page: Page, address: str, tmp_path: Path, ulogs: list[Path]
 ) -> None:
