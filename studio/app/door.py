@@ -73,17 +73,17 @@ class Owner:
 
     def is_in_address(self, request: Request) -> bool:
         """Whether the request's address holds the token, or the code of this user's browser."""
-        given = request.args.getlist(PARAMETER)
+        values = request.args.getlist(PARAMETER)
         # all of them, so that the time of an answer does not depend on which one is right
-        by_token = [_is_same(value, self._token) for value in given]
-        by_code = [_is_same(value, self._code) for value in given]
+        by_token = [_is_same(value, self._token) for value in values]
+        by_code = [_is_same(value, self._code) for value in values]
         return any(by_token) or (any(by_code) and self._takes_code(request))
 
     def is_known(self, request: Request, port: int) -> bool:
         """Whether the request has the cookie, or the token in its header `Authorization: Bearer TOKEN`."""
         name, value = self.cookie(port)
         scheme, _, token = request.headers.get("Authorization", "").partition(" ")
-        by_cookie = [_is_same(given, value) for given in request.cookies.getlist(name)]
+        by_cookie = [_is_same(text, value) for text in request.cookies.getlist(name)]
         by_header = _is_same(token.strip(), self._token)
         return any(by_cookie) or (by_header and scheme.lower() == "bearer")
 
@@ -163,9 +163,9 @@ def _sent(response: Response, environ: WSGIEnvironment, start_response: StartRes
     return parts
 
 
-def _is_same(given: str, secret: str) -> bool:
+def _is_same(text: str, secret: str) -> bool:
     """Whether a text is the secret, in a time that does not say where they differ."""
-    return hmac.compare_digest(given.encode("utf-8", "replace"), secret.encode())
+    return hmac.compare_digest(text.encode("utf-8", "replace"), secret.encode())
 
 
 def _user_at_other_end(environ: WSGIEnvironment) -> int | None:

@@ -8,14 +8,17 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from mcap.writer import CompressionType, Writer
 
-from dynamics import unpacking
+from dynamics import mcap_chunks, unpacking
 from dynamics.errors import RequestError
 from dynamics.references.table import read_table
 from dynamics.unpacking import BYTES, FREE_BYTES, RATIO, gunzip
 from dynamics.vehicle import Vehicle
 from flights import read_log
 from flights.folder import folder_content
+from flights.followed import read_followed
+from runtime.record.recording import read_recording
 from runtime.record.tlog import read_tlog
 
 
@@ -86,3 +89,21 @@ def test_a_torn_packed_table_is_refused_with_its_name(tmp_path: Path, arpl_250g:
     path.write_bytes(gzip.compress(b"t,x,y,z\n" * 100)[:-9])
     with pytest.raises(RequestError, match=r"table\.csv\.gz.*ends early"):
         read_table(path, arpl_250g)
+
+
+def test_a_chunk_of_a_recording_that_fills_the_memory_is_refused_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "flight.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
+        writer.start(profile="", library="")
+        channel = writer.register_channel("/imu", "json", 0)
+        for _ in range(10):
+            writer.add_message(channel, 0, bytes(20_000_000), 0)
+        writer.finish()
+    assert path.stat().st_size < 1_000_000
+    monkeypatch.setattr(mcap_chunks, "breakup_chunk", None)
+    for read in (read_log, read_recording, read_followed):
+        with pytest.raises(RequestError, match=r"flight\.mcap.*unpacks to more than 100 times"):
+            read(path)

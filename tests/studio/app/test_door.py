@@ -250,9 +250,11 @@ def test_random_tokens_differ() -> None:
 
 
 def test_the_command_keeps_the_token_out_of_log_files_and_of_the_browsers_command_line(tmp_path: Path) -> None:
-    seen = tmp_path / "seen"
+    arguments = tmp_path / "arguments"
     browser = tmp_path / "browser"
-    browser.write_text(f'#!/bin/sh\necho "$@" "$ALULA_STUDIO_TOKEN" > {seen}.part; mv {seen}.part {seen}\n')
+    browser.write_text(
+        f'#!/bin/sh\necho "$@" "$ALULA_STUDIO_TOKEN" > {arguments}.part; mv {arguments}.part {arguments}\n'
+    )
     browser.chmod(0o700)
     command = [sys.executable, "-m", "alula", "--log-file", str(tmp_path / "log"), "studio", "--port", "0"]
     environment = {**os.environ, VARIABLE: TOKEN, "BROWSER": f"{browser} %s", "XDG_DATA_HOME": str(tmp_path)}
@@ -264,13 +266,13 @@ def test_the_command_keeps_the_token_out_of_log_files_and_of_the_browsers_comman
         assert process.stdout.readline().startswith("Ctrl-C")
         assert _status(address) == 200
         for _ in range(200):
-            if seen.exists():
+            if arguments.exists():
                 break
             threading.Event().wait(0.05)
-        given = seen.read_text()
-        assert given.startswith("http://127.0.0.1:")
-        assert TOKEN not in given
-        assert _status(given.strip()) == 200
+        called = arguments.read_text()
+        assert called.startswith("http://127.0.0.1:")
+        assert TOKEN not in called
+        assert _status(called.strip()) == 200
         process.terminate()
         process.communicate(timeout=60)
     assert process.returncode == 0

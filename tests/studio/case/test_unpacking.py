@@ -161,10 +161,10 @@ def test_limits_are_raised_by_the_environment(plain: Path, monkeypatch: pytest.M
 
 
 def test_a_damaged_archive_is_refused_whatever_is_damaged(plain: Path) -> None:
-    whole = plain.read_bytes()
+    intact = plain.read_bytes()
     choice = random.Random(time.time_ns())
     for number in range(300):
-        content = bytearray(whole)
+        content = bytearray(intact)
         for _ in range(choice.randint(1, 4)):
             content[choice.randrange(len(content))] = choice.randrange(256)
         if number % 3 == 0:
