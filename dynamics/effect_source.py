@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.inside import path_inside
 
 ENDING = ".py"
 MAX_BYTES = 1 << 20  # of a file; one with hundreds of effects has a tenth of it
@@ -79,16 +80,13 @@ def read_effect_file_below(folder: Path, name: str) -> EffectFile:
     Raises RequestError for a name that leads elsewhere, by `..`, by a whole path or by a link, and as
     `read_effect_file`.
     """
-    parts = PurePosixPath(name).parts
-    if PurePosixPath(name).is_absolute() or ".." in parts or "\0" in name:
+    path = path_inside(folder, str(PurePosixPath(name)))
+    if path is None:
         raise _elsewhere(folder, name)
-    path = folder / name
     try:
-        resolved, root = path.resolve(strict=True), folder.resolve(strict=True)
-    except (OSError, RuntimeError):  # RuntimeError: links in a circle
+        resolved = path.resolve(strict=True)
+    except OSError:
         raise _no_file(path, "there is none") from None
-    if not resolved.is_relative_to(root):
-        raise _elsewhere(folder, name)
     try:
         return _read(path, resolved)
     except OSError as error:

@@ -27,6 +27,9 @@ def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> 
     except OSError as error:
         _remove(part)
         raise RequestError(f"cannot write {path}: {error.strerror or error}. {advice}") from error
+    except BaseException:
+        _remove(part)
+        raise
     return path
 
 

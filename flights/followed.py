@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
+from dynamics.mcap_chunks import records_of
 from flights.readers.mcap import MAGIC, TORN
 from flights.source import sha256
 
@@ -222,7 +223,8 @@ def _parts(path: Path) -> Iterator[McapRecord]:
     """Records up to the file's end or to where it is cut off."""
     with path.open("rb") as stream:
         try:
-            yield from StreamReader(stream).records
+            for part in StreamReader(stream, emit_chunks=True).records:
+                yield from records_of(part, path) if isinstance(part, Chunk) else [part]
         except TORN:
             return
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import math
 import tempfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import DataError, RequestError
+from dynamics.unpacking import gunzip
 from flights.log import Repair
 
 HEAD_BYTES = 65_536
@@ -108,7 +107,8 @@ class Source:
 def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
     """The log at a path; a gzip is unpacked into a temporary file, so that it need not fit into memory.
 
-    Raises RequestError when there is no such file or it cannot be read, DataError for an empty one.
+    Raises RequestError when there is no such file, it cannot be read or is packed beyond the limits, DataError for an
+    empty one.
     """
     try:
         if path.is_dir():
@@ -148,11 +148,9 @@ def _head(file: Path) -> bytes:
 
 
 def _unpack(path: Path, file: Path) -> tuple[Repair, ...]:
-    """Unpack up to a torn or damaged end, which becomes a repair."""
-    with gzip.open(path, "rb") as packed, file.open("wb") as plain:
-        try:
-            while chunk := packed.read1(_CHUNK_BYTES):  # read1 returns whole data before it reaches the damage
-                plain.write(chunk)
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            return (Repair("torn_gzip", f"the gzip file ends early or is damaged ({error}); read up to there"),)
-    return ()
+    """Unpack up to a torn or damaged end, which becomes a repair. Raises RequestError beyond the limits."""
+    with file.open("wb") as plain:
+        error = gunzip(path, plain)
+    if error is None:
+        return ()
+    return (Repair("torn_gzip", f"the gzip file ends early or is damaged ({error}); read up to there"),)

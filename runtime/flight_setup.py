@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import sys
 import tempfile
@@ -27,6 +26,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trust import require_approved
+from dynamics.unpacking import read_packed
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import (
     effect_entries,
@@ -356,8 +356,7 @@ def recorded_effect_files(recording: FlightRecording) -> list[EffectFile]:
 
 
 def _table_text(path: Path) -> str:
-    data = path.read_bytes()
-    return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
+    return read_packed(path).decode()
 
 
 def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]:

@@ -21,6 +21,7 @@ from alula.cli.escaping import Escaping
 
 SWITCHES = {"-v": "verbose", "--verbose": "verbose", "-q": "quiet", "--quiet": "quiet"}
 LOG_FILE = "--log-file"
+SECRETS = ("--token",)  # options whose values are written to no log file
 
 
 @dataclass
@@ -46,7 +47,9 @@ class Output:
                 raise OSError(0, "no name was given behind --log-file")
             log = Path(self.log_file).open("a", encoding="utf-8")  # noqa: SIM115
             self._log = self._stack.enter_context(log)  # until `finish`
-            self._log.write(f"# {time.strftime('%Y-%m-%d %H:%M:%S %z')} {shlex.join(['alula', *words])}\n")
+            self._log.write(
+                f"# {time.strftime('%Y-%m-%d %H:%M:%S %z')} {shlex.join(['alula', *_without_secrets(words)])}\n"
+            )
         if self.quiet or self._log is not None:
             stdout: Any = Printed(sys.stdout, self._log, muted=self.quiet)
             self._stack.enter_context(contextlib.redirect_stdout(stdout))
@@ -96,6 +99,13 @@ class Printed(io.TextIOBase):
         if not self._muted:
             self._stream.write(text)
         return len(text)
+
+    def write_secret(self, text: str, logged: str) -> None:
+        """Write text to the terminal, and in its place another one to the log file."""
+        if self._log is not None:
+            self._log.write(logged)
+        if not self._muted:
+            self._stream.write(text)
 
     def flush(self) -> None:
         """Flush what was written."""
@@ -148,6 +158,27 @@ def options(values: Iterable[tuple[str, object]]) -> list[str]:
 def print_next(*words: object) -> None:
     """Print the literal next command, a command's last line."""
     print(f"next: {command(*words)}", flush=True)
+
+
+def print_secret(text: str, *, logged: str) -> None:
+    """Print a line that holds a secret, of which the log file gets another line."""
+    stream: Any = sys.stdout.stream if isinstance(sys.stdout, Escaping) else sys.stdout
+    if isinstance(stream, Printed):
+        stream.write_secret(f"{text}\n", f"{logged}\n")
+    else:
+        stream.write(f"{text}\n")
+    stream.flush()
+
+
+def _without_secrets(words: Sequence[str]) -> list[str]:
+    """Words of a command line with *** in place of each secret."""
+    masked: list[str] = []
+    for number, word in enumerate(words):
+        name, equals, _ = word.partition("=")
+        if equals and name in SECRETS:
+            word = f"{name}=***"
+        masked.append("***" if number and words[number - 1] in SECRETS else word)
+    return masked
 
 
 def print_written(files: Sequence[Path], folder: Path) -> None:

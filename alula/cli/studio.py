@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from alula.api.inputs import log_paths
-from alula.cli.console import Console
 from alula.cli.intake import note_skipped, vehicle_beside
 from alula.cli.options import Effects, HoldOut, Mapping, Pose
-from alula.cli.output import print_next
+from alula.cli.output import print_next, print_secret
 from alula.workbench import workbench
 from dynamics.errors import RequestError
+from dynamics.unpacking import raise_limits
 
 if TYPE_CHECKING:
     from studio.app.studio import Studio
@@ -47,15 +47,38 @@ def studio(
         float | None, typer.Option(min=0.5, help="GB that the working process may take; by default 60 % of all.")
     ] = None,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            envvar="ALULA_STUDIO_TOKEN",
+            help="That opens the studio, for programs; by default a random one. Others see options in the list of "
+            "processes: give it in the environment.",
+        ),
+    ] = None,
+    unpack_files: Annotated[
+        int | None, typer.Option(min=1, help="Files that an archive may hold. [default: 10000]", show_default=False)
+    ] = None,
+    unpack_gb: Annotated[
+        float | None,
+        typer.Option(min=0.001, help="GB that a compressed file may become. [default: 16]", show_default=False),
+    ] = None,
+    unpack_ratio: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Times its own bytes that it may become. [default: 100]", show_default=False),
+    ] = None,
 ) -> None:
     """Open the studio: compare, see, add, and watch the error fall, by clicks.
 
-    A local page; nothing leaves this computer and nothing is loaded from a network. Ctrl-C ends it; a case stays in its
-    folder as it stood.
+    A local page, for you alone: its address has a token. Nothing leaves this computer and nothing is loaded from a
+    network. Ctrl-C ends it; a case stays in its folder as it stood.
     """
     with workbench("alula studio"):
+        from studio.app.door import VARIABLE, Owner
         from studio.app.server import serve
         from studio.app.studio import Studio, default_root
+    os.environ.pop(VARIABLE, None)  # the browser and the working processes need none
+    owner = Owner(token or "")
+    raise_limits(files=unpack_files, gigabytes=unpack_gb, ratio=unpack_ratio)
     room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
     try:
         results = [room.open_result(path) for path in result or []]
@@ -63,18 +86,17 @@ def studio(
         note_skipped(logs or [], mapping, vehicle)
         place = _case(room, logs or [], vehicle, case, hold_out, effects or [], mapping, pose)
         place = f"result/{results[0]}" if results and not place else place
-        server, address = serve(room, port=port)
+        server, address = serve(room, owner, port=port)
     except BaseException:
         room.close()
         raise
     address += place
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: threading.Thread(target=server.shutdown, daemon=True).start())
-    console = Console()
-    console.print(f"studio: {address}", highlight=False)
-    console.print("Ctrl-C ends it.", highlight=False)
+    print_secret(f"studio: {owner.address(address)}", logged=f"studio: {address}")
+    print("Ctrl-C ends it.", flush=True)
     if browser and not os.environ.get("ALULA_NO_BROWSER"):
-        webbrowser.open(address)
+        webbrowser.open(owner.browser_address(address))
     try:
         server.serve_forever()
     finally:
@@ -100,9 +122,9 @@ def _case(
     from studio.case.state import Options
 
     if case is not None and is_case(case):
-        if logs or vehicle:
-            raise RequestError(f"{case} holds a case already. Open it alone, and add logs on its page.")
-        return f"case/{room.open(case)}/log"
+        if vehicle:
+            raise RequestError(f"{case} holds a case already. Open it alone, and choose the vehicle on its page.")
+        return f"case/{room.open(case, logs=log_paths(logs, mapping) if logs else [], mapping=mapping)}/log"
     if case is None and not logs:
         if vehicle:
             raise RequestError("a vehicle without a log. Give logs too, or choose the vehicle on the page.")

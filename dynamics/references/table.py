@@ -9,7 +9,7 @@ seconds.
 from __future__ import annotations
 
 import csv
-import gzip
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +24,7 @@ from dynamics.files import write_whole
 from dynamics.references.curve import DERIVATIVES, FLAT, PiecewisePolynomial
 from dynamics.references.reference import Reference
 from dynamics.references.time_law import TimeLaw
+from dynamics.unpacking import read_packed
 from dynamics.vehicle import Vehicle
 
 REQUIRED = ("t", "position_x", "position_y", "position_z")
@@ -137,8 +138,8 @@ def _polynomial(start: Floats, end: Floats, duration: float) -> Floats:
 
 def _read_columns(path: Path) -> dict[str, Floats]:
     try:
-        with gzip.open(path, "rt") if path.suffix == ".gz" else path.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+        content = io.StringIO(str(read_packed(path), "utf-8"), newline="")
+        rows = [row for row in csv.reader(content) if row and not row[0].startswith("#")]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RequestError(f"cannot read the reference {path}: {error}. Give a CSV file.") from error
     if not rows:

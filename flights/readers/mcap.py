@@ -10,11 +10,12 @@ import msgspec
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.mcap_chunks import records_of
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers import rosbag
@@ -211,7 +212,7 @@ def _parts(source: Source, topics: Mapping[int, str], metadata: Mapping[str, str
         stream.seek(place)
         try:
             for part in StreamReader(stream, skip_magic=place > 0, emit_chunks=True).records:
-                for record in breakup_chunk(part) if isinstance(part, Chunk) else [part]:
+                for record in records_of(part, source.path) if isinstance(part, Chunk) else [part]:
                     if span is None or not isinstance(record, Message):
                         yield record
                         continue

@@ -12,12 +12,13 @@ from typing import Any
 import msgspec
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from dynamics.errors import DataError, RequestError
+from dynamics.mcap_chunks import records_of
 from runtime.record.records import TOPICS, Record
 
 MAGIC = b"\x89MCAP0\r\n"  # of an MCAP file
@@ -86,7 +87,8 @@ def _parts(path: Path) -> Iterator[McapRecord]:
     """Records of an MCAP file up to its end or to where it is cut off."""
     with path.open("rb") as stream:
         try:
-            yield from StreamReader(stream).records
+            for part in StreamReader(stream, emit_chunks=True).records:
+                yield from records_of(part, path) if isinstance(part, Chunk) else [part]
         except (McapError, struct.error, ValueError, OverflowError, MemoryError, ZstdError):
             return  # the last chunk is incomplete: the writer was killed or the disk was full
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import gzip
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 from dynamics.errors import DataError
+from dynamics.unpacking import read_packed
 from runtime.link.framing import MAGIC_V1, MAGIC_V2, Frame, FrameParser, frame_length
 
 _STAMP = struct.Struct(">Q")  # microseconds since 1970, before each frame
@@ -19,7 +19,7 @@ def read_tlog(path: Path) -> Iterator[tuple[float, Frame]]:
     An incomplete last frame is omitted. Raises DataError for a file that is no tlog.
     """
     try:
-        data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        data = read_packed(path)
     except OSError as error:
         raise DataError(f"Cannot read {path}: {error.strerror or error}. Give a .tlog or .tlog.gz file.") from None
     position = 0

@@ -360,7 +360,7 @@ def use_flown_vehicle(opened: OpenCase, log: str) -> None:
         raise RequestError(f"{Path(log).name} holds no vehicle. Choose one in the list, or drop a file.")
     case = opened.case
     text, named = without_effect_files(flown)
-    files = [case.folder / file for file in case.state.effect_files]
+    files = [file.path for file in case.effect_files()]
     source = case.folder / f"flown_{Path(log).name.partition('.')[0]}.toml"
     action = f"took the vehicle of {Path(log).name}"
     try:
@@ -380,7 +380,7 @@ def _making(case: Case, fields: dict[str, Any], path: Path) -> str:
     options = {"--name": "made-name", "--mass": "made-mass", "--arm": "made-arm", "--speed-max": "made-speed"}
     words = ["alula", "vehicle", "from-log", *map(str, case.log_paths)]
     words += [w for option, field in options.items() if fields.get(field) for w in (option, str(fields[field]))]
-    words += ["--mapping", case.state.options.mapping] if case.state.options.mapping else []
+    words += ["--mapping", str(case.mapping_path)] if case.mapping_path else []
     return shlex.join([*words, "--out", str(path)])
 
 

@@ -16,9 +16,10 @@ import msgspec
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import make_folder, write_whole
 from dynamics.vehicle_plausibility import require_in_range
-from studio.case.case import ADVICE, Case
+from studio.case.case import Case
 from studio.case.commands import command
 from studio.case.state import ChannelLevel
+from studio.case.state_file import ADVICE
 from studio.work.results import FILES, FLIGHTS, VEHICLE, Added, Checked, Diagnosed, FlightInfo
 from studio.work.task import Refusal, Task, refusal_of
 from studio.work.worker import Outcome, Worker
@@ -251,7 +252,7 @@ class OpenCase:
 
     def _task(self, step: str, name: str, *, effect: str, reference: str) -> Task:
         case = self.case
-        make_folder(case.folder / "results", advice=ADVICE)
+        make_folder(case.result_folder(name).parent, advice=ADVICE)
         first = case.first_version
         return Task(
             step=step,
@@ -261,7 +262,7 @@ class OpenCase:
             vehicle=str(case.vehicle_path()) if case.version else "",
             first_vehicle=str(case.vehicle_path(first)) if first else "",
             effect_files=tuple(file.path for file in case.effect_files()),
-            mapping=case.state.options.mapping,
+            mapping=str(case.mapping_path or ""),
             pose=case.state.options.pose,
             hold_out=case.state.options.hold_out,
             data_key=case.key("flights"),

@@ -1,7 +1,6 @@
 """The studio's server on the loopback interface: the page, uploads that are streamed to disk, downloads.
 
-Only this computer reaches it, and only pages that it served itself: a foreign Host header, which DNS rebinding would
-bring, and requests from another origin are refused.
+Only this computer reaches it, and of its users only the one whose studio it is (`studio.app.door`).
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from werkzeug.utils import secure_filename
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import write_whole
 from dynamics.vehicle_file import with_effect_files
+from studio.app.door import HEADERS, HOST, Door, Owner
 from studio.app.opened import OpenCase
 from studio.app.shell import build
 from studio.app.studio import Studio
 from studio.case.archive import ENDING, write_archive
 from studio.case.commands import script
 
-HOST = "127.0.0.1"
 PORT = 8642
 CHUNK = 1 << 20  # bytes of an upload in memory
 MAX_TEXT = 4 << 20  # bytes of a vehicle or effect file
@@ -51,14 +50,24 @@ class SavedFigure(msgspec.Struct):
 
 
 class QuietHandler(WSGIRequestHandler):  # type: ignore[misc]
-    """Requests are not printed."""
+    """Requests are not printed: an address may hold the token. What is no HTTP is refused without a text."""
 
-    def log_request(self, *_: Any, **__: Any) -> None:
+    error_message_format = ""
+
+    def log(self, *_: Any, **__: Any) -> None:
         """Print nothing."""
 
+    def version_string(self) -> str:
+        """The header `Server`, which names no versions."""
+        return "studio"
 
-def make_app(studio: Studio, port: int) -> dash.Dash:
-    """The page of a studio and its routes. port: that it will be served on, which a Host header must name."""
+
+def make_app(studio: Studio, port: int, owner: Owner | None = None) -> dash.Dash:
+    """The page of a studio and its routes.
+
+    port: that it will be served on, which a Host header must name. owner: who may come in, by default one with a random
+    token that nobody knows.
+    """
     server = flask.Flask("studio")
     app = dash.Dash(
         "studio",
@@ -69,21 +78,22 @@ def make_app(studio: Studio, port: int) -> dash.Dash:
         suppress_callback_exceptions=True,
         assets_folder=str(Path(__file__).parent / "assets"),
     )
-    server.before_request(lambda: _refuse_foreign(port))
-    server.after_request(_with_headers)
     _add_routes(server, studio)
     build(app, studio)
+    policy = _content_policy(app)
+    server.after_request(lambda response: _with_headers(response, policy))
+    server.wsgi_app = Door(server.wsgi_app, owner or Owner(), port)
     return app
 
 
-def serve(studio: Studio, *, port: int | None = None) -> tuple[BaseWSGIServer, str]:
-    """A server that is bound and waits for `serve_forever`, and the page's address.
+def serve(studio: Studio, owner: Owner | None = None, *, port: int | None = None) -> tuple[BaseWSGIServer, str]:
+    """A server that is bound and waits for `serve_forever`, and the page's address, without the owner's token.
 
     port: None for the usual one, or the next that is free. Raises RequestError for a port that is taken.
     """
     bound = _bound_socket(port)
     number = bound.getsockname()[1]
-    app = make_app(studio, number)
+    app = make_app(studio, number, owner)
     server = make_server(HOST, number, app.server, threaded=True, request_handler=QuietHandler, fd=bound.detach())
     return server, f"http://{HOST}:{number}/"
 
@@ -106,28 +116,19 @@ def _bound_socket(port: int | None) -> socket.socket:
     raise RequestError(f"ports {PORT} to {PORT + 19} are all taken. Give a --port, or 0 for a free one.")
 
 
-def _refuse_foreign(port: int) -> Any:
-    """An answer to a request that no page of ours on this computer sent, None for the others."""
-    names = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
-    if flask.request.host not in names:
-        return flask.Response(f"This studio answers to http://{HOST}:{port}/ alone.", status=403)
-    origin = flask.request.headers.get("Origin")
-    if origin is not None and origin not in {f"http://{name}" for name in names}:
-        return flask.Response("A page of another site may not use this studio.", status=403)
-    if flask.request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
-        return flask.Response("A page of another site may not use this studio.", status=403)
-    return None
-
-
-def _with_headers(response: flask.Response) -> flask.Response:
-    """Headers by which a browser loads nothing from elsewhere, and shows the page in no frame."""
-    inline = "script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'"
-    policy = (
-        f"default-src 'self'; {inline}; img-src 'self' data: blob:; frame-ancestors 'none'; worker-src 'self' blob:"
+def _content_policy(app: dash.Dash) -> str:
+    """The Content-Security-Policy of all pages: scripts of this server and Dash's own line alone, none made of text."""
+    scripts = " ".join(["'self'", *app.csp_hashes()])
+    return (
+        f"default-src 'self'; script-src {scripts}; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+        "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
+
+
+def _with_headers(response: flask.Response, policy: str) -> flask.Response:
+    """Headers by which a browser loads nothing from elsewhere, and shows the page in no frame."""
     response.headers["Content-Security-Policy"] = policy
-    response.headers["X-Content-Type-Options"] = "nosniff"
-    response.headers["Referrer-Policy"] = "no-referrer"
+    response.headers.update(HEADERS)
     return response
 
 

@@ -150,9 +150,12 @@ def _show(studio: Studio, revision: Any, path: str, scheme: str, last: str | Non
         return (), "", message(str(error), title="This case cannot be opened", colour="red"), ""
     if opened is None:
         return (), "", message("There is no such case on this computer.", title="No case", colour="red"), ""
-    signature = f"{path} {scheme} {signature_of(opened, page)}"
-    main = no_update if signature == last else CASE_PAGES[page](opened, name, scheme)
-    return _navigation(opened, name, page), _heading(opened, name), main, signature
+    try:
+        signature = f"{path} {scheme} {signature_of(opened, page)}"
+        main = no_update if signature == last else CASE_PAGES[page](opened, name, scheme)
+        return _navigation(opened, name, page), _heading(opened, name), main, signature
+    except AlulaError as error:  # a file of the case that is gone, or a link out of it
+        return (), "", message(str(error), title="This page cannot be shown", colour="red"), ""
 
 
 def _show_result(studio: Studio, path: str, scheme: str, last: str | None) -> tuple[Any, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from studies.results.kinds import kind_of
 from studio.app.opened import OpenCase
 from studio.app.replays import Replays
 from studio.case.archive import unpack_archive
-from studio.case.case import ADVICE, Case, is_case
+from studio.case.case import Case, is_case
+from studio.case.state_file import ADVICE
 from studio.work.worker import Worker
 
 MAX_WORKERS = 2  # of all cases, beside the one that waits; each holds a case's flights
@@ -48,12 +50,15 @@ class Studio:
         self.replays = Replays()
         self._spare: Worker | None = Worker(memory)  # has loaded its libraries when the first case needs it
 
-    def open(self, folder: Path) -> str:
-        """Open the case of a folder, or find it open. Returns its name in addresses. Raises RequestError."""
+    def open(self, folder: Path, *, logs: Sequence[Path] = (), mapping: Path | None = None) -> str:
+        """Open the case of a folder, or find it open. Returns its name in addresses.
+
+        logs, mapping: see `Case.open`. Raises RequestError.
+        """
         name = name_of(folder)
         with self._lock:
             if name not in self._cases:
-                self._cases[name] = OpenCase(Case.open(folder), self._worker)
+                self._cases[name] = OpenCase(Case.open(folder, logs=logs, mapping=mapping), self._worker)
         return name
 
     def create(self, folder: Path | None = None, *, name: str = "") -> str:

@@ -1,18 +1,18 @@
 """A case: logs, a vehicle, the versions of its file and the results of each step, all in one folder.
 
 Results lie under a key made of what they were made from, so that whether one is out of date is a comparison of keys,
-and an undone change shows the results of before at once.
+and an undone change shows the results of before at once. A case may come from a stranger: each path in it goes through
+`studio.case.state_file.inside`.
 """
 
 from __future__ import annotations
 
 import datetime
-import fcntl
 import getpass
 import hashlib
 import threading
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,12 +26,25 @@ from dynamics.trust import require_approved
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import effect_files_in, find_vehicle, parse_vehicle, read_vehicle, vehicle_text
 from flights.source import sha256
-from studio.case.state import FORMAT, CaseLog, CaseState, ChannelLevel, Options, Version
+from studio.case.links import LinkedLog, links_of, set_links
+from studio.case.state import CaseLog, CaseState, ChannelLevel, Options, Version
+from studio.case.state_file import (
+    ADVICE,
+    EFFECTS,
+    LOGS,
+    MAPPINGS,
+    STATE_FILE,
+    VERSIONS,
+    inside,
+    locked,
+    read_state,
+    require_confined,
+    result_name,
+)
 
-STATE_FILE = "case.json"
-LOGS, VERSIONS, RESULTS, EFFECTS = "logs", "versions", "results", "effects"
 STEPS = ("check", "compare", "diagnose", "add", "prove")  # that have results
-ADVICE = "Give a folder that can be written."
+MAX_MAPPING = 1 << 20  # bytes
+DEVICES = {"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))}
 
 
 class Case:
@@ -40,9 +53,10 @@ class Case:
     folder: where it lies.
     """
 
-    def __init__(self, folder: Path, state: CaseState, lock: IO[str]) -> None:
+    def __init__(self, folder: Path, state: CaseState, lock: IO[str], links: Sequence[LinkedLog] = ()) -> None:
         self.folder = folder
         self._state = state
+        self._links = tuple(links)
         self._lock_file = lock
         self._lock = threading.RLock()
         self.revision = 1  # grows with every change
@@ -55,14 +69,32 @@ class Case:
         if folder.exists() and any(folder.iterdir()):
             raise RequestError(f"{folder} is not empty. Give a new folder for a case, or open the case in it.")
         make_folder(folder, advice=ADVICE)
-        case = cls(folder.resolve(), CaseState(name=name or folder.name), _locked(folder))
+        case = cls(folder.resolve(), CaseState(name=name or folder.name), locked(folder))
+        set_links(case.folder, ())  # of a case that was there before
         case._save(case._state)
         return case
 
     @classmethod
-    def open(cls, folder: Path) -> Case:
-        """The case of a folder, as it stood. Raises RequestError for a folder without one, or of another version."""
-        return cls(folder.resolve(), _read_state(folder), _locked(folder))
+    def open(cls, folder: Path, *, logs: Sequence[Path] = (), mapping: Path | None = None) -> Case:
+        """The case of a folder, as it stood.
+
+        logs, mapping: files of the user's that the case has, and that lie elsewhere now; it takes them in. Raises
+        RequestError for a folder without a case, one of another version, logs that are none of it, and paths in it that
+        lead elsewhere.
+        """
+        folder = folder.resolve()
+        state = read_state(folder)
+        case = cls(folder, state, locked(folder), links_of(folder))
+        try:
+            if mapping is not None:
+                case.set_options(msgspec.structs.replace(state.options, mapping=str(mapping)))
+            for log in logs:
+                case._find_again(log)
+            require_confined(case._state, folder)
+        except BaseException:
+            case.close()
+            raise
+        return case
 
     def close(self) -> None:
         """Let other processes open the case."""
@@ -75,8 +107,23 @@ class Case:
 
     @property
     def log_paths(self) -> tuple[Path, ...]:
-        """The logs' files."""
-        return tuple(self.folder / log.path for log in self._state.logs)
+        """The logs' files. Raises RequestError for one that lies elsewhere and that the user has not given."""
+        return tuple(self.log_path(log) for log in self._state.logs)
+
+    def log_path(self, log: CaseLog) -> Path:
+        """The file of a log: in the case's folder, or where the user has it. Raises as `log_paths`."""
+        linked = self._linked(log)
+        return inside(self.folder, log.path) if linked is None else Path(linked.path)
+
+    def is_linked(self, log: CaseLog) -> bool:
+        """Whether a log lies where the user has it, outside of the case's folder."""
+        return self._linked(log) is not None
+
+    @property
+    def mapping_path(self) -> Path | None:
+        """The case's column mapping. Raises RequestError for one outside of the case's folder."""
+        mapping = self._state.options.mapping
+        return inside(self.folder, mapping) if mapping else None
 
     @property
     def version(self) -> Version | None:
@@ -111,7 +158,7 @@ class Case:
         version = version or self.version
         if version is None:
             raise RequestError("no vehicle is chosen. Choose a bundled one, upload a file, or make one from the log.")
-        return self.folder / version.file
+        return inside(self.folder, version.file)
 
     def vehicle(self, version: Version | None = None) -> Vehicle:
         """The vehicle of a version, with the case's own effect files.
@@ -137,23 +184,37 @@ class Case:
     def add_logs(self, paths: Sequence[Path]) -> None:
         """Add logs; one that is there already, by its content, stays alone. Raises RequestError for a missing file."""
         with self._lock:
-            logs = {log.sha256: log for log in self._state.logs}
             for path in paths:
-                log = self._log(path)
-                logs.setdefault(log.sha256, log)
-            self._change(logs=tuple(logs.values()))
+                log, linked = self._log(path)
+                others = [other for other in self._state.logs if other.sha256 != log.sha256]
+                if len(others) == len(self._state.logs) or not self._is_there(log.sha256):
+                    self._keep_link(log, linked)
+                    self._change(logs=(*others, log))
 
     def remove_log(self, path: str) -> None:
-        """Take a log out of the case; a file outside its folder stays where it is."""
+        """Take a log out of the case; a file outside its folder for logs stays where it is. path: as the case has it.
+
+        Raises RequestError for a path that leads out of the case's folder.
+        """
         with self._lock:
+            removed = [log for log in self._state.logs if log.path == path]
+            files = [inside(self.folder, log.path) for log in removed if not self.is_linked(log)]
             self._change(logs=tuple(log for log in self._state.logs if log.path != path))
-            inside = self.folder / path
-            if not Path(path).is_absolute() and inside.is_file():
-                inside.unlink()
+            self._set_links(link for link in self._links if link.log != path)
+            for file in files:
+                if file.is_file() and file.resolve().is_relative_to(self.folder / LOGS):
+                    file.unlink()
 
     def set_options(self, options: Options) -> None:
-        """How the logs are read."""
-        self._change(options=options)
+        """How the logs are read. A mapping is copied into the case's folder, as it is now.
+
+        Raises RequestError for a mapping that cannot be read.
+        """
+        with self._lock:
+            is_own = options.mapping == self._state.options.mapping and not Path(options.mapping).is_absolute()
+            if options.mapping and not is_own:
+                options = msgspec.structs.replace(options, mapping=self._copied_mapping(Path(options.mapping)))
+            self._change(options=options)
 
     def set_vehicle(self, vehicle: str | Path) -> None:
         """Choose a vehicle: a file, or the name of a bundled one; versions of another vehicle end there.
@@ -184,7 +245,7 @@ class Case:
         """
         file = read_effect_file(path)
         with self._lock:
-            place = self.folder / self._placed(file)
+            place = inside(self.folder, self._placed(file))
             effects_of(read_effect_file(place))
             self._copy_effects([file])
 
@@ -244,7 +305,7 @@ class Case:
 
     def result_folder(self, step: str, key: str | None = None) -> Path:
         """Where the result of a step lies, or will lie. key: by default that of the present state."""
-        return self.folder / RESULTS / f"{step.replace(':', '-').replace('/', '-')}-{key or self.key(step)}"
+        return inside(self.folder, result_name(step, key or self.key(step)))
 
     def has_result(self, step: str) -> bool:
         """Whether a step's result of the present state is there."""
@@ -269,17 +330,76 @@ class Case:
 
     def new_log_path(self, name: str) -> Path:
         """A free place for a log that is uploaded. name: of the user's file."""
-        folder = self.folder / LOGS
+        folder = inside(self.folder, LOGS)
         make_folder(folder, advice=ADVICE)
-        return _free_path(folder, _safe_name(name))
+        return self._free_log(safe_name(name))
 
-    def _log(self, path: Path) -> CaseLog:
+    def _free_log(self, name: str) -> Path:
+        """A path for a log, which is no log's yet, whether its file lies there or elsewhere."""
+        return _free_path(inside(self.folder, LOGS), name, [self.folder / log.path for log in self._state.logs])
+
+    def _log(self, path: Path) -> tuple[CaseLog, Path | None]:
+        """A log as the case names it, and where it lies if that is elsewhere."""
         if not path.exists():
             raise RequestError(f"{path} does not exist. Give a log, or a folder of logs.")
         resolved = path.resolve()
-        inside = resolved.is_relative_to(self.folder)
-        place = resolved.relative_to(self.folder) if inside else resolved
-        return CaseLog(str(place), sum(file.stat().st_size for file in files_of(resolved)), sha256(resolved))
+        is_inside = resolved.is_relative_to(self.folder)
+        place = resolved if is_inside else self._free_log(safe_name(resolved.name))
+        size = sum(file.stat().st_size for file in files_of(resolved))
+        log = CaseLog(str(place.relative_to(self.folder)), size, sha256(resolved))
+        return log, None if is_inside else resolved
+
+    def _linked(self, log: CaseLog) -> LinkedLog | None:
+        return next((link for link in self._links if link.is_of(log)), None)
+
+    def _is_there(self, digest: str) -> bool:
+        """Whether the file of a log that the case has is where it was."""
+        try:
+            return all(self.log_path(log).exists() for log in self._state.logs if log.sha256 == digest)
+        except RequestError:
+            return False
+
+    def _keep_link(self, log: CaseLog, path: Path | None) -> None:
+        """Note where a log lies. path: None in the case's folder."""
+        links = [link for link in self._links if link.sha256 != log.sha256]
+        added = [] if path is None else [LinkedLog(str(self.folder), log.path, log.sha256, str(path))]
+        self._set_links([*links, *added])
+
+    def _set_links(self, links: Iterable[LinkedLog]) -> None:
+        links = tuple(links)
+        set_links(self.folder, links)
+        self._links = links
+
+    def _find_again(self, path: Path) -> None:
+        """Take in a log that the case has, and whose file was elsewhere. Raises RequestError for any other file."""
+        log, linked = self._log(path)
+        for number, other in enumerate(self._state.logs):
+            if log.sha256 == other.sha256 or str(linked) == other.path:
+                if log.sha256 == other.sha256 and not Path(other.path).is_absolute():
+                    log = msgspec.structs.replace(log, path=other.path) if linked is not None else log
+                self._keep_link(log, linked)
+                self._change(logs=(*self._state.logs[:number], log, *self._state.logs[number + 1 :]))
+                return
+        raise RequestError(f"{self.folder} holds a case already. Open it alone, and add logs on its page.")
+
+    def _copied_mapping(self, path: Path) -> str:
+        """The name of a mapping's copy in the case's folder."""
+        try:
+            with path.expanduser().open("rb") as file:
+                content = file.read(MAX_MAPPING + 1)
+        except (OSError, RuntimeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise RequestError(f"cannot read the mapping {path}: {reason}. Give a TOML file.") from None
+        if len(content) > MAX_MAPPING:
+            raise RequestError(f"the mapping {path} has more than {MAX_MAPPING >> 20} MB. Give a TOML file.")
+        folder = inside(self.folder, MAPPINGS)
+        make_folder(folder, advice=ADVICE)
+        for place in sorted(folder.iterdir()):
+            if not place.is_symlink() and place.is_file() and place.read_bytes() == content:
+                return str(place.relative_to(self.folder))
+        target = _free_path(folder, safe_name(path.name))
+        write_whole(target, lambda part: part.write_bytes(content), advice=ADVICE)
+        return str(target.relative_to(self.folder))
 
     def _copy_effects(self, files: Sequence[EffectFile]) -> None:
         """Effect files into the case's folder, those that are there already once."""
@@ -289,7 +409,7 @@ class Case:
 
     def _placed(self, file: EffectFile) -> str:
         """The name below the case's folder of a copy of an effect file, made where there is none."""
-        folder = self.folder / EFFECTS
+        folder = inside(self.folder, EFFECTS)
         make_folder(folder, advice=ADVICE)
         for place in sorted(folder.glob("*.py")):
             if not place.is_symlink() and place.is_file() and place.read_bytes() == file.text.encode():
@@ -301,9 +421,9 @@ class Case:
     def _new_version(self, text: str, *, parent: int, action: str, **more: Any) -> Version:
         number = max((v.number for v in self._state.versions), default=0) + 1
         name = f"{VERSIONS}/{number:04d}.toml"
-        make_folder(self.folder / VERSIONS, advice=ADVICE)
+        make_folder(inside(self.folder, VERSIONS), advice=ADVICE)
         write_whole(
-            self.folder / name,
+            inside(self.folder, name),
             lambda part: part.write_text(_without_effect_files(text), encoding="utf-8"),
             advice=ADVICE,
         )
@@ -313,7 +433,7 @@ class Case:
         return version
 
     def _digest(self, name: str) -> str:
-        return hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+        return hashlib.sha256(inside(self.folder, name).read_bytes()).hexdigest()
 
     def _change(self, **changed: Any) -> None:
         with self._lock:
@@ -335,37 +455,6 @@ def is_case(folder: Path) -> bool:
     return (folder / STATE_FILE).is_file()
 
 
-def _read_state(folder: Path) -> CaseState:
-    path = folder / STATE_FILE
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        advice = "Give the folder of a case; `alula studio LOG... --case FOLDER` makes one."
-        raise RequestError(f"{folder} holds no case ({STATE_FILE}: {error.strerror or error}). {advice}") from None
-    try:
-        number = msgspec.json.decode(content, type=dict[str, Any]).get("format")
-        if number != FORMAT:
-            advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
-            raise RequestError(f"{path} is of format {number!r}. {advice}")
-        return msgspec.json.decode(content, type=CaseState)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
-
-
-def _locked(folder: Path) -> IO[str]:
-    """A lock on a case's folder, which ends with this process. Raises RequestError where another one has it."""
-    try:
-        file = (folder / ".lock").open("w", encoding="utf-8")
-    except OSError as error:
-        raise RequestError(f"cannot write in {folder}: {error.strerror or error}. {ADVICE}") from error
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise RequestError(f"{folder} is open in another studio. Close that one first, or use its page.") from None
-    return file
-
-
 def _without_effect_files(text: str) -> str:
     """A vehicle file without its list of effect files, which the case has."""
     import tomlkit
@@ -382,17 +471,23 @@ def _user() -> str:
         return "unknown user"
 
 
-def _safe_name(name: str) -> str:
-    """A file name without folders and control characters."""
+def safe_name(name: str) -> str:
+    """A file name without folders and control characters, that is no device's on any system."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
-    return "".join(c for c in last if c.isprintable()).lstrip(".") or "log"
+    plain = "".join(c for c in last if c.isprintable()).lstrip(".").rstrip(". ") or "log"
+    return f"_{plain}" if is_device(plain) else plain
 
 
-def _free_path(folder: Path, name: str) -> Path:
-    """A path of that name in a folder, numbered where there is a file already."""
+def is_device(name: str) -> bool:
+    """Whether a file's name is a device's on some system, whatever its ending."""
+    return name.partition(".")[0].rstrip().lower() in DEVICES
+
+
+def _free_path(folder: Path, name: str, taken: Collection[Path] = ()) -> Path:
+    """A path of that name in a folder, numbered where there is a file already, or where one is to be."""
     stem, dot, ending = name.partition(".")
     path, number = folder / name, 1
-    while path.exists():
+    while path.exists() or path.is_symlink() or path in taken:
         number += 1
         path = folder / f"{stem}_{number}{dot}{ending}"
     return path

@@ -9,6 +9,7 @@ from dynamics.effect_source import printable
 from dynamics.errors import RequestError
 from studio.case.case import Case
 from studio.case.state import Version
+from vehicles import FOLDER as BUNDLED
 
 COMMANDS = {"check": "inspect", "explain": "compare", "fly": "prove"}  # that have another name than their step
 HELD_OUT = ("diagnose", "add", "prove", "fly")  # steps that hold flights out
@@ -30,7 +31,7 @@ def command(case: Case, step: str, *, effect: str = "", reference: str = "", tri
     if step in ("prove", "fly"):
         words += ["--before", _source(case, case.first_version)]
     words += [*_option("--fly", reference if step == "fly" else ""), *_option("--with", trial), *_effects(case)]
-    words += _option("--mapping", options.mapping)
+    words += _mapping(case)
     words += _option("--pose", options.pose if step != "check" else "")
     words += _option("--hold-out", options.hold_out if step in HELD_OUT else "")
     return shlex.join([*words, *_option("--rotor", rotor.rstrip("]"))])
@@ -44,7 +45,7 @@ def script(case: Case) -> str:
     """
     vehicle = case.vehicle().name
     line = case.line[: case.line.index(case.version) + 1] if case.version else ()
-    logs, mapping = shlex.join(map(str, case.log_paths)), _option("--mapping", case.state.options.mapping)
+    logs, mapping = shlex.join(map(str, case.log_paths)), _mapping(case)
     lines = [
         "#!/bin/sh",
         f"# {printable(case.state.name)}: from the logs to version {line[-1].number} of {printable(vehicle)}, as the "
@@ -90,8 +91,9 @@ def _own_words(case: Case, version: Version) -> list[str]:
 
 
 def _source(case: Case, version: Version | None) -> str:
-    """A version as `--vehicle` takes it: the first as it was chosen, the others by their files."""
-    return case.state.vehicle if version is not None and not version.parent else str(case.vehicle_path(version))
+    """A version as `--vehicle` takes it: the name of a bundled vehicle, else the version's file."""
+    is_bundled = case.state.vehicle in {path.stem for path in BUNDLED.glob("*.toml")}
+    return case.state.vehicle if version and not version.parent and is_bundled else str(case.vehicle_path(version))
 
 
 def _bundle(case: Case) -> Path:
@@ -100,7 +102,11 @@ def _bundle(case: Case) -> Path:
 
 
 def _effects(case: Case) -> list[str]:
-    return [word for name in case.state.effect_files for word in ("--effects", str(case.folder / name))]
+    return [word for file in case.effect_files() for word in ("--effects", file.path)]
+
+
+def _mapping(case: Case) -> list[str]:
+    return _option("--mapping", str(case.mapping_path or ""))
 
 
 def _option(name: str, value: str) -> list[str]:

@@ -12,7 +12,8 @@ import torch
 from dynamics.errors import AlulaError, RequestError
 from runtime.control.bundle import MANIFEST, read_bundle
 from runtime.record.recording import damage_named, read_recording
-from studio.case.case import STATE_FILE, Case
+from studio.case.case import Case
+from studio.case.state_file import STATE_FILE
 from tests.support.command_line import Run, command_line
 from training.checkpoint import load
 from vehicles import FOLDER

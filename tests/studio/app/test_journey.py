@@ -138,6 +138,26 @@ def test_a_log_becomes_a_better_model_by_clicks(
     assert after < 0.5 * before
 
 
+def test_the_browser_has_the_token_nowhere_and_runs_no_text(page: Page, browser: Browser, address: str) -> None:
+    place, _, token = address.partition("?token=")
+    page.goto(address)
+    page.get_by_role("button", name="New case").click()
+    expect(page.get_by_text("No log yet.")).to_be_visible()
+    assert token not in page.url
+    assert token not in page.content()
+    assert page.evaluate("document.cookie") == ""  # HttpOnly
+    (cookie,) = page.context.cookies()
+    assert token not in cookie["value"]
+    assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Strict")
+    add = "code => { const s = document.createElement('script'); s.text = code; document.head.append(s); }"
+    page.evaluate(add, "window.ran = true")
+    assert page.evaluate("window.ran") is None
+    stranger = browser.new_context()
+    answer = stranger.request.get(place)
+    assert (answer.status, answer.body()) == (401, b"")
+    stranger.close()
+
+
 def test_a_file_that_is_no_log_is_refused_on_the_page_and_the_page_lives_on(
     page: Page, address: str, tmp_path: Path, ulogs: list[Path]
 ) -> None:
@@ -162,6 +182,7 @@ def test_a_case_that_is_opened_again_stands_where_it_stood(
     _wait(page, "check", "done")
     place = page.url
     other = browser.new_page()
+    other.goto(address)
     other.goto(place)
     other.set_default_timeout(PATIENCE)
     expect(other.locator("#step-check")).to_have_attribute("data-status", "done")
@@ -192,6 +213,7 @@ def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
     place = page.url
     page.close()
     later = browser.new_page()
+    later.goto(address)
     later.goto(place)
     _wait(later, "diagnose", "done")
     expect(later.locator("#verdict-sentence")).to_contain_text("linear_drag")

@@ -15,12 +15,14 @@ import alula
 from dynamics.effect_source import sha256_of
 from dynamics.errors import RequestError
 from dynamics.trust import approve_here
+from studio.app.door import Owner
 from studio.app.server import MAX_FIGURE, PORT, make_app, serve
 from studio.app.studio import Studio, default_root
 from vehicles import FOLDER
 
 OWN_EFFECTS = Path(__file__).parents[3] / "examples" / "my_effects.py"
 BUNDLED = (FOLDER / "arpl_250g.toml").read_text(encoding="utf-8")
+TOKEN = "a-token-of-these-tests"
 BASE = f"http://127.0.0.1:{PORT}"
 
 
@@ -33,7 +35,8 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
 
 @pytest.fixture(scope="module")
 def client(studio: Studio) -> FlaskClient:
-    client: FlaskClient = make_app(studio, PORT).server.test_client()
+    client: FlaskClient = make_app(studio, PORT, Owner(TOKEN)).server.test_client()
+    client.get(f"/?token={TOKEN}", base_url=BASE)  # becomes a cookie
     return client
 
 
@@ -45,12 +48,16 @@ def test_the_page_comes_and_loads_nothing_from_a_network(client: FlaskClient) ->
     answer = _get(client)
     assert answer.status_code == 200
     assert "https://" not in answer.get_data(as_text=True).replace("https://github.com", "")
-    assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'self'" in policy
+    assert "unsafe-eval" not in policy
+    assert "unsafe-inline" not in policy.partition("script-src")[2].partition(";")[0]
 
 
 @pytest.mark.parametrize("host", ["evil.example", f"evil.example:{PORT}", "127.0.0.1:1", "127.0.0.1"])
 def test_a_foreign_host_is_refused(client: FlaskClient, host: str) -> None:
-    assert client.get("/", base_url=f"http://{host}").status_code == 403
+    answer = client.get("/", base_url=f"http://{host}", headers={"Authorization": f"Bearer {TOKEN}"})
+    assert answer.status_code == 403
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", f"https://127.0.0.1:{PORT}"])
