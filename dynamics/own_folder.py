@@ -44,10 +44,15 @@ def read_own(path: Path, max_bytes: int, refuse: Refuse) -> bytes | None:
         return None
     except OSError as error:
         raise refuse(path, error.strerror or str(error)) from None
-    with os.fdopen(descriptor, "rb") as file:
+    try:
         require_own(path.parent, os.stat(path.parent), refuse)
         require_own(path, os.fstat(descriptor), refuse)
-        return file.read(max_bytes)
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            return file.read(max_bytes)
+    except OSError as error:  # a folder in its place
+        raise refuse(path, error.strerror or str(error)) from None
+    finally:
+        os.close(descriptor)
 
 
 def replace_own(path: Path, content: bytes) -> None:

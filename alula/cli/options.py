@@ -73,4 +73,12 @@ Roaming = Annotated[
         "--roaming", help="Let the vehicle continue from another address after 2 s of silence, as behind a modem."
     ),
 ]
+Signing = Annotated[
+    Path | None,
+    typer.Option(
+        "--signing-key",
+        help="Key file (mode 600) of MAVLink 2 signing: sign all that is sent, accept nothing unsigned of the vehicle.",
+        metavar="FILE",
+    ),
+]
 Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")]
