@@ -108,7 +108,9 @@ def test_a_disk_that_fails_is_known_and_stops_nothing(path: Path, monkeypatch: p
     assert not clock.failure
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b"no", b'{"timestamp": "x"}', b'{"timestamp": 1, "heard": [[1, 1, 2]]}'])
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"no", b'{"timestamp": "x"}', b'{"timestamp": 1, "heard": [[1, 1, 2]]}']
+)
 def test_a_damaged_state_is_refused_and_not_begun_anew(content: bytes, path: Path) -> None:
     path.parent.mkdir()
     path.write_bytes(content)
