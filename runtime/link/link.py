@@ -26,11 +26,12 @@ from runtime.link.signing import ACCEPTED, MESSAGES_LINK, REFUSALS, SETPOINTS_LI
 from runtime.link.silence import explain_silence
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
-from runtime.link.transport import Transport, TransportLostError, open_transport
+from runtime.link.transport import Received, Transport, TransportLostError, open_transport
 from runtime.link.vehicle_source import Address, VehicleSource
 
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
+Arrival = tuple[Frame, float, Address | None]  # a frame, when it came, s, monotonic, and where from
 
 _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust (docs/px4.md)
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
@@ -339,12 +340,12 @@ class Link:
                     self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
             self._hear_others(time.monotonic())
 
-    def _receive(self) -> list[tuple[Frame, float, Address | None]]:
+    def _receive(self) -> list[Arrival]:
         """The frames that have arrived, state estimates first: autopilots send in bursts, and the others can wait."""
-        batch: list[tuple[Frame, float, Address | None]] = []
+        batch: list[Arrival] = []
         received = self._transport.receive()
         while received is not None and len(batch) < _MAX_BATCH:
-            batch += [(frame, received.time, received.source) for frame in self.parser.feed(received.data)]
+            batch += self._usable(self.parser, received)
             try:
                 received = self._transport.receive(wait=False)
             except TransportLostError:
@@ -363,17 +364,25 @@ class Link:
             self._transport.keep_to_peer()
         received = self._transport.receive_other()
         if received is not None:
-            for frame in FrameParser().feed(received.data):  # a stranger's half frame is in nobody's way
-                self._handle(frame, received.time, received.source)
+            for arrival in self._usable(FrameParser(), received):  # a stranger's half frame is in nobody's way
+                self._handle(*arrival)
+
+    def _usable(self, parser: FrameParser, received: Received) -> list[Arrival]:
+        """The frames of received bytes that address and signature speak for, judged in the order of their arrival."""
+        usable: list[Arrival] = []
+        for frame in parser.feed(received.data):
+            is_of_vehicle = (frame.system, frame.component) == self.peer.address
+            if is_of_vehicle and not self.source.admits(received.source, received.time):
+                self._reject_stranger(received.time, received.source)
+            elif self._has_accepted_signature(frame, received.time, received.source):
+                usable.append((frame, received.time, received.source))
+        return usable
 
     def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
-        is_of_vehicle = (frame.system, frame.component) == self.peer.address
-        if is_of_vehicle and not self.source.admits(source, received):
-            self._reject_stranger(received, source)
-            return
-        if not self._has_accepted_signature(frame, received, source):
-            return
-        if is_of_vehicle:
+        if (frame.system, frame.component) == self.peer.address:
+            if not self.source.admits(source, received):  # the address was fixed by the frame before
+                self._reject_stranger(received, source)
+                return
             self.source.accept(source, received)
             self._transport.set_peer(source)
         if frame.message_id == _SETUP_SIGNING:

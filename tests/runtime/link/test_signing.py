@@ -213,6 +213,20 @@ def test_a_vehicle_without_a_clock_is_heard_once_it_has_heard_us() -> None:
 
 
 @pytest.mark.realtime
+def test_frames_that_arrive_together_are_judged_in_the_order_in_which_they_were_signed() -> None:
+    """The link handles estimates first, whatever else a burst begins with."""
+    with open_link() as link, FakeVehicle(address_of(link), key=SECRET, timestamp=now()) as vehicle:
+        link.wait_for_vehicle(5.0)
+        vehicle.sends = False
+        accepted = link.signing.counts["signed"]
+        burst = signer(timestamp=vehicle.mav.signing.timestamp + TICKS)
+        vehicle.send_bytes(b"".join(message.pack(burst) for message in (heartbeat(), heartbeat(), odometry())))
+        wait_until(lambda: link.estimate is not None)
+        wait_until(lambda: sum(link.signing.counts.values()) >= accepted + 3)
+        assert link.signing.report(link.peer.address).replayed == 0
+
+
+@pytest.mark.realtime
 def test_strangers_neither_move_nor_stop_a_signed_flight() -> None:
     frames: list[bytes] = []
     events: list[LinkEvent] = []
