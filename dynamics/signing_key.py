@@ -22,7 +22,7 @@ TICKS = 100_000  # of its timestamps in a second
 EPOCH = 1_420_070_400  # unix time of 2015-01-01, GMT, s
 _HEXADECIMAL = re.compile(rb"[0-9A-Fa-f]{64}")
 _MAX_BYTES = 4096
-_WANTED = "Wanted 32 bytes, or their 64 hexadecimal digits"
+_FORMAT = "Wanted 32 bytes, or their 64 hexadecimal digits"
 
 
 class SigningKey:
@@ -36,7 +36,7 @@ class SigningKey:
     def __init__(self, secret: bytes, name: str = "a key") -> None:
         """secret: 32 bytes, not all of them 0, which is how a system is told to sign no more."""
         if len(secret) != KEY_BYTES or not any(secret):
-            raise RequestError(f"{name} holds no signing key. {_WANTED}, not all 0.")
+            raise RequestError(f"{name} holds no signing key. {_FORMAT}, not all 0.")
         self._secret, self.name = bytes(secret), name
         self._keyed = hashlib.sha256(self._secret)
 
@@ -88,7 +88,7 @@ def read_signing_key(path: Path) -> SigningKey:
     if not _HEXADECIMAL.fullmatch(digits):
         size = f"{len(content)} bytes" if len(content) <= _MAX_BYTES else f"more than {_MAX_BYTES} bytes"
         raise RequestError(
-            f"{path} holds {size}, and no signing key. {_WANTED}; alula link --new-signing-key FILE makes one."
+            f"{path} holds {size}, and no signing key. {_FORMAT}; alula link --new-signing-key FILE makes one."
         )
     return SigningKey(bytes.fromhex(digits.decode("ascii")), str(path))
 
@@ -122,7 +122,7 @@ def write_signing_key(path: Path) -> SigningKey:
 def _require_secret(path: Path, status: os.stat_result) -> None:
     """Raise RequestError for a key that is no file of this user's alone."""
     if not stat.S_ISREG(status.st_mode):
-        raise RequestError(f"the signing key {path} is no file. {_WANTED} in a file of yours.")
+        raise RequestError(f"the signing key {path} is no file. {_FORMAT} in a file of yours.")
     if status.st_uid != os.geteuid():
         raise RequestError(
             f"the signing key {path} belongs to user {status.st_uid}, and who owns it can change it. "

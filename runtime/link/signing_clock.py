@@ -103,31 +103,31 @@ class SigningClock:
         self._ended.set()
         self._wake.set()
         self._thread.join()
-        self._save(ahead=0)
+        self._save(reserve=0)
 
     def _run(self) -> None:
         while not self._ended.is_set():
             self._wake.wait(_RENEWAL)
             self._wake.clear()
             if not self._ended.is_set():
-                self._save(ahead=RESERVE)
+                self._save(reserve=RESERVE)
 
-    def _save(self, ahead: int) -> None:
+    def _save(self, reserve: int) -> None:
         """Save what may be used from now on; then a vehicle's timestamp that waits for it is taken."""
         with self._lock:
             pending, self._pending = self._pending, 0
-        wanted = max(self.now, pending) + max(ahead, _MARGIN)
+        unused = max(self.now, pending) + max(reserve, _MARGIN)
         try:
             with locked(self._path.parent):
                 saved = self._read()
                 self._shared |= saved.timestamp != self._written  # by another process with this key, at any time
-                self._write(max(saved.timestamp, wanted) if ahead or self._shared else wanted, saved)
+                self._write(max(saved.timestamp, unused) if reserve or self._shared else unused, saved)
         except (OSError, RequestError) as error:
             self.failure = str(error)
             return
         self.failure = ""
         with self._lock:
-            self._reserved = wanted
+            self._reserved = unused
             self._base += max(0, pending - self.now)
 
     def _read(self) -> SigningState:

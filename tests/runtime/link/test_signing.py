@@ -279,18 +279,18 @@ def test_a_vehicle_that_signs_is_not_flown_without_a_key() -> None:
 
 @pytest.mark.realtime
 def test_a_key_that_passes_the_link_is_neither_recorded_nor_passed_on() -> None:
-    seen: list[Any] = []
+    passed: list[Any] = []
 
     def keep(_: str, __: float, data: bytes) -> None:
-        seen.append(data)
+        passed.append(data)
 
     def note(message: Any, _: float) -> None:
-        seen.append(repr(message).encode())
+        passed.append(repr(message).encode())
 
     with (
         open_link(None, LinkCallbacks(frame=keep, message=note)) as link,
         FakeVehicle(address_of(link)) as vehicle,
-        link.listening(lambda message: seen.append(repr(message).encode())),
+        link.listening(lambda message: passed.append(repr(message).encode())),
     ):
         link.wait_for_vehicle(5.0)
         link.send_signing_setup(KEY)
@@ -301,7 +301,7 @@ def test_a_key_that_passes_the_link_is_neither_recorded_nor_passed_on() -> None:
         assert (sent.target_system, sent.target_component) == VEHICLE
         before = link.parser.frames
         wait_until(lambda: link.parser.frames > before + 2)
-    assert not any(SECRET in data or str(list(SECRET))[1:20].encode() in data for data in seen)
+    assert not any(SECRET in data or str(list(SECRET))[1:20].encode() in data for data in passed)
     assert SECRET.hex() not in repr(link.settings)
 
 

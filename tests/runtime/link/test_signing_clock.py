@@ -82,8 +82,8 @@ def test_processes_at_the_same_time_use_different_timestamps(path: Path) -> None
 
 def test_it_moves_up_to_a_vehicle_that_is_ahead_once_that_is_saved(path: Path) -> None:
     clock = SigningClock(path)
-    for ahead in (TICKS, 3600 * TICKS, 100 * 365 * 86400 * TICKS):  # the last one is beyond what 48 bits hold
-        target = clock.now + ahead
+    for lead in (TICKS, 3600 * TICKS, 100 * 365 * 86400 * TICKS):  # the last one is beyond what 48 bits hold
+        target = clock.now + lead
         clock.move_up_to(target)
         if target < 1 << 48:
             wait_until(lambda target=target: clock.now >= target)
