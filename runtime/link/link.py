@@ -36,7 +36,7 @@ Arrival = tuple[Frame, float, Address | None]  # a frame, when it came, s, monot
 _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust (docs/px4.md)
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
-_MAX_BATCH = 32  # frames read before they are handled
+_MAX_BATCH = 32  # frames, and datagrams, read before the frames are handled
 _OTHERS_PERIOD = 0.02  # s between datagrams from elsewhere than the vehicle's address, whatever a stranger sends
 _SETUP_SIGNING = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING  # carries a key: neither recorded nor passed on
 CANDIDATES_TIME = 2.0  # s in which other vehicles on the link must be heard: two periods of HEARTBEAT
@@ -343,13 +343,18 @@ class Link:
     def _receive(self) -> list[Arrival]:
         """The frames that have arrived, state estimates first: autopilots send in bursts, and the others can wait."""
         batch: list[Arrival] = []
-        received = self._transport.receive()
-        while received is not None and len(batch) < _MAX_BATCH:
-            batch += self._usable(self.parser, received)
+        for number in range(_MAX_BATCH):  # of datagrams as well: a flood without a frame in it must not keep us here
             try:
-                received = self._transport.receive(wait=False)
+                received = self._transport.receive(wait=number == 0)
             except TransportLostError:
+                if number == 0:
+                    raise
                 break  # what came before the end is handled; the next call finds the end again
+            if received is None:
+                break
+            batch += self._usable(self.parser, received)
+            if len(batch) >= _MAX_BATCH:
+                break
         if len(batch) > 1:
             batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
         return batch
