@@ -51,9 +51,9 @@ def recorded_vehicle(path: Path, autopilots: list[Address], frames: Mapping[Addr
         return vehicle, "" if len(autopilots) == 1 else _announced(path, vehicle, autopilots)
     candidates = [sender for sender in frames if not autopilots and system in (None, sender[0])]
     if not candidates:
-        known = ", ".join(str(number) for number in dict.fromkeys(number for number, _ in autopilots or frames))
+        present = ", ".join(str(number) for number in dict.fromkeys(number for number, _ in autopilots or frames))
         raise RequestError(
-            f"{path}: no vehicle with system id {system} is in it. Give --system one of: {known}; or leave it out."
+            f"{path}: no vehicle with system id {system} is in it. Give --system one of: {present}; or leave it out."
         )
     vehicle = max(candidates, key=lambda sender: frames[sender])
     return vehicle, f"no autopilot's heartbeat: system {vehicle[0]}, which sends most, is taken for the vehicle"
