@@ -7,18 +7,14 @@ in the working directory, beside a log or in a vehicle file adds to the list.
 from __future__ import annotations
 
 import datetime
-import fcntl
-import os
-import stat
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.own_folder import configuration_folder, locked, make_own_folder, read_own, replace_own
 
 NAME = "trusted.json"
 MAX_BYTES = 16 << 20
@@ -38,25 +34,19 @@ class Approval(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def store_path() -> Path:
-    """The list's file: $XDG_CONFIG_HOME/alula, where that is a whole path, else ~/.config/alula."""
-    configured = os.environ.get("XDG_CONFIG_HOME", "")
-    base = Path(configured) if os.path.isabs(configured) else Path.home() / ".config"
-    return base / "alula" / NAME
+    """The list's file in the configuration folder. Raises RuntimeError for a user without a home."""
+    return configuration_folder() / NAME
 
 
 def read_approvals() -> tuple[Approval, ...]:
     """The approved contents, oldest first. Raises RequestError for a list that others may have written."""
     try:
         path = store_path()
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except (FileNotFoundError, NotADirectoryError, RuntimeError):  # RuntimeError: a user without a home
+    except RuntimeError:  # a user without a home
         return ()
-    except OSError as error:
-        raise _unusable(path, error.strerror or str(error)) from None
-    with os.fdopen(descriptor, "rb") as file:
-        _require_own(path.parent, os.stat(path.parent))
-        _require_own(path, os.fstat(descriptor))
-        content = file.read(MAX_BYTES)
+    content = read_own(path, MAX_BYTES, _unusable)
+    if content is None:
+        return ()
     try:
         return msgspec.json.decode(content, type=tuple[Approval, ...])
     except msgspec.MsgspecError as error:
@@ -103,41 +93,14 @@ def _change(edited: Callable[[Sequence[Approval]], list[Approval]]) -> None:
     except RuntimeError:
         raise RequestError("this user has no home folder. Set XDG_CONFIG_HOME to a folder of yours.") from None
     try:
-        path.parent.parent.mkdir(parents=True, exist_ok=True)
-        path.parent.mkdir(mode=0o700, exist_ok=True)
-        _require_own(path.parent, os.stat(path.parent))
-        with _locked(path.parent):
+        make_own_folder(path.parent, _unusable)
+        with locked(path.parent):
             content = msgspec.json.format(msgspec.json.encode(edited(read_approvals())), indent=1) + b"\n"
-            descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=f".{NAME}-")  # of mode 600
-            try:
-                with os.fdopen(descriptor, "wb") as file:
-                    file.write(content)
-                os.replace(part, path)
-            except OSError:
-                os.unlink(part)
-                raise
+            replace_own(path, content)
     except OSError as error:
         raise RequestError(
             f"cannot write {path}: {error.strerror or error}. Set XDG_CONFIG_HOME to a folder of yours."
         ) from error
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _require_own(path: Path, status: os.stat_result) -> None:
-    """Raise RequestError for what another user owns or may change."""
-    if status.st_uid not in (os.geteuid(), 0):
-        raise _unusable(path, "it belongs to another user")
-    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise _unusable(path, f"others may write it. Look through it, then: chmod go-w {path}")
 
 
 def _unusable(path: Path, reason: str) -> RequestError:

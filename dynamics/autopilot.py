@@ -6,6 +6,8 @@ it (MAV_AUTOPILOT_GENERIC) and may speak first; its numbers are of minimal.xml a
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID
 KNOWN_AUTOPILOTS = {3: "ardupilotmega", 12: "px4"}  # MAV_AUTOPILOT
@@ -24,3 +26,11 @@ def is_autopilot(component: int, vehicle_type: int, autopilot: int) -> bool:
     if autopilot == NO_AUTOPILOT or vehicle_type not in AIRCRAFT:
         return False
     return component == AUTOPILOT_COMPONENT or autopilot in KNOWN_AUTOPILOTS
+
+
+def first_vehicle(autopilots: Iterable[tuple[int, int]], system: int | None) -> tuple[int, int] | None:
+    """The first of several autopilots, or the first with the system id that was chosen; None where there is none.
+
+    autopilots: system and component of each, in the order in which they were heard.
+    """
+    return next((address for address in autopilots if system in (None, address[0])), None)

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from dynamics.approvals import Kind
 from dynamics.errors import RequestError, VehicleError
+from dynamics.recorded_vehicle import choose_system, chosen_system
 from dynamics.trust import approve_here, approved_here
 from dynamics.workbench_install import workbench_install
 
@@ -77,7 +78,9 @@ def _in_pool(
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
     context = multiprocessing.get_context("spawn")
     started = context.Event()
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(started, approved_here()))
+    pool = ProcessPoolExecutor(
+        count, mp_context=context, initializer=_begin, initargs=(started, approved_here(), chosen_system())
+    )
     running: dict[Future[Result], int] = {}
     try:
         while waiting or running:
@@ -101,9 +104,10 @@ def _in_pool(
     return []
 
 
-def _begin(started: Event, approved: Approved) -> None:
+def _begin(started: Event, approved: Approved, system: int | None) -> None:
     started.set()
     approve_here(approved)
+    choose_system(system)
     end_with_parent()
 
 
@@ -142,7 +146,7 @@ def _on_cluster(
         ) from error
     with client:
         places = {
-            client.submit(_approving, approved_here(), function, item, pure=False): index
+            client.submit(_approving, approved_here(), chosen_system(), function, item, pure=False): index
             for index, item in enumerate(items)
         }
         for done in distributed.as_completed(list(places), loop=client.loop):
@@ -157,9 +161,10 @@ def _on_cluster(
             yield place, result
 
 
-def _approving(approved: Approved, function: Callable[[Item], Result], item: Item) -> Result:
-    """A function's result where the effects are approved that are so in the process that asks for it."""
+def _approving(approved: Approved, system: int | None, function: Callable[[Item], Result], item: Item) -> Result:
+    """A function's result where effects are approved and a vehicle is chosen as in the process that asks for it."""
     approve_here(approved)
+    choose_system(system)
     return function(item)
 
 

@@ -17,6 +17,7 @@ import msgspec
 
 from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
+from dynamics.signing_key import SigningKey
 from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.autopilot_parameters import read_rate_gains, read_thrust_curve
@@ -97,6 +98,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: of the recording; the date and time if empty.
     system: the vehicle's system id, None for the first one heard.
     roaming: whether the vehicle may continue from another address after a silence.
+    signing_key: under which the link is signed, None for an unsigned one.
     timeout: s to wait for the vehicle.
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on, None for any.
@@ -113,6 +115,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str = ""
     system: int | None = None
     roaming: bool = False
+    signing_key: SigningKey | None = None
     timeout: float = 10.0
     priority: int | None = None
     processor: int | None = None
@@ -213,7 +216,10 @@ class Daemon:
             self._telemetry = TelemetryBuffer(self._recorder)
             self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
             settings = LinkSettings(
-                target_system=request.system, roaming=request.roaming, priority=self._scheduling.priority
+                target_system=request.system,
+                roaming=request.roaming,
+                signing_key=request.signing_key,
+                priority=self._scheduling.priority,
             )
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             # while the link listens
@@ -222,6 +228,7 @@ class Daemon:
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
             link.require_one_vehicle()
+            link.signing.require_common(link.peer.address)
             control = self._prepare(link, controllers)
             stack.callback(self._stop, link, control)  # before the first setpoint: whatever fails from now on parts
             self._start(link, control)

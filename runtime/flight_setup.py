@@ -25,6 +25,7 @@ from dynamics.effect_source import (
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.signing_key import read_signing_key
 from dynamics.trust import require_approved
 from dynamics.unpacking import read_packed
 from dynamics.vehicle import Vehicle
@@ -85,6 +86,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     processor: that the control thread stays on.
     system: the vehicle's system id, None for the one on the link.
     roaming: whether the vehicle may continue from another address after a silence.
+    signing_key: file of the key under which the link is signed, None for an unsigned one.
     timeout: s to wait for the vehicle, and for a pilot who is to arm; left out, the pilot has no limit.
     """
 
@@ -108,6 +110,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     processor: int | None = None
     system: int | None = None
     roaming: bool = False
+    signing_key: Path | None = None
     timeout: float | None = None
 
 
@@ -165,6 +168,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         record=setup.record,
         system=setup.system,
         roaming=setup.roaming,
+        signing_key=None if setup.signing_key is None else read_signing_key(setup.signing_key),
         timeout=VEHICLE_TIMEOUT if setup.timeout is None else setup.timeout,
         priority=setup.priority,
         processor=setup.processor,

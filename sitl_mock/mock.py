@@ -16,6 +16,7 @@ import numpy as np
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import autopilot_gains
+from dynamics.signing_key import read_signing_key, signing_ticks
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
@@ -66,6 +67,8 @@ class MockOptions:
     clock_drift: see `Behaviour`; None for the scenario's.
     parameters: PX4 parameters by name.
     instance: PX4's, added to ports and to the system id.
+    signing_key: key file of MAVLink signing, None for an autopilot that does not sign until it is given a key. The
+        file's date is that of the key's set-up, whose timestamp PX4 begins with after every start.
     """
 
     vehicle: Path
@@ -85,6 +88,7 @@ class MockOptions:
     clock_drift: float | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     instance: int = 0
+    signing_key: Path | None = None
 
 
 def _geometry(vehicle: Vehicle) -> dict[str, float]:
@@ -127,7 +131,11 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         faults=scenario.faults,
         seed=options.seed,
     )
-    return Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
+    autopilot = Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
+    if options.signing_key is not None:
+        secret = read_signing_key(options.signing_key).secret
+        autopilot.signing.set_key(secret, signing_ticks(options.signing_key.stat().st_mtime))
+    return autopilot
 
 
 def _tuned(vehicle: Vehicle, other: Path | None) -> Vehicle:

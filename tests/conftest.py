@@ -39,6 +39,7 @@ def approvals_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
     """A list of approved code of the tests' own, beginning with the documented example; the user's is left alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         approve([("effects", read_effect_file(OWN_EFFECTS).sha256, str(OWN_EFFECTS))])
         yield
 

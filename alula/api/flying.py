@@ -100,6 +100,7 @@ def fly(
     processor: int | None = None,
     system: int | None = None,
     roaming: bool = False,
+    signing_key: str | Path | None = None,
     timeout: float | None = None,
     announce: Callable[[str], None] = print,
 ) -> FlightReport:
@@ -128,6 +129,7 @@ def fly(
     processor: number of the processor that the control thread stays on.
     system: the vehicle's system id; by default that of the one vehicle on the link, and several are refused.
     roaming: let the vehicle continue from another address after 2 s of silence, as behind a modem.
+    signing_key: file of the key under which all is signed, and nothing unsigned accepted; none by default.
     timeout: longest wait for the vehicle, s, 10 by default; with arm=False also for the pilot to arm, who has no limit
         by default.
     announce: called with a line for every event.
@@ -171,6 +173,7 @@ def fly(
         processor=processor,
         system=system,
         roaming=roaming,
+        signing_key=None if signing_key is None else Path(signing_key),
         timeout=timeout,
     )
     flight = prepare_flight(setup)

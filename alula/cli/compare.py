@@ -11,7 +11,7 @@ from rich.table import Table
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, VehicleOption
+from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, RecordedSystem, VehicleOption
 from alula.cli.output import options, print_next, print_written
 from alula.cli.progress import stage_bar
 from dynamics.files import STANDARD_OUTPUT
@@ -34,6 +34,7 @@ def compare(
     ] = None,
     effects: Effects = None,
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     pose: Pose = None,
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
     html: Page = None,
@@ -53,7 +54,7 @@ def compare(
         print_written(result.write_pictures(figures), figures)
     if json != STANDARD_OUTPUT:
         _print(result.report, Console())
-        shared = options([("--effects", effects), ("--mapping", mapping), ("--pose", pose)])
+        shared = options([("--effects", effects), ("--mapping", mapping), ("--pose", pose), ("--system", system)])
         print_next("diagnose", *logs, "--vehicle", vehicle, *shared)
 
 

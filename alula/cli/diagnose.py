@@ -14,7 +14,7 @@ import alula
 from alula.cli.console import Console
 from alula.cli.fleet import FLEET, diagnose_fleet
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose
+from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose, RecordedSystem
 from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
 from alula.cli.progress import stage_bar
@@ -43,6 +43,7 @@ def diagnose(
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     pose: Pose = None,
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
@@ -115,6 +116,8 @@ def diagnose(
     if json is not None:
         result.write_json(json)
     shared = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
+    if system is not None:
+        shared["--system"] = str(system)
     if html is not None:
         from studio.pages.report import add_command
 

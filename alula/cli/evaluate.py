@@ -11,7 +11,7 @@ import typer
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import note_skipped
-from alula.cli.options import Effects
+from alula.cli.options import Effects, RecordedSystem
 from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT
 from studies.tables import terminal_table
@@ -32,6 +32,7 @@ def evaluate(
     ] = None,
     effects: Effects = None,
     mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
+    system: RecordedSystem = None,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Do not measure how long a prediction takes.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write every figure as JSON; - for stdout.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Folder for one CSV file a table.")] = None,

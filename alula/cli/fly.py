@@ -12,7 +12,7 @@ from rich.table import Table
 import alula
 from alula.api.reference_file import planned_reference
 from alula.cli.console import Console
-from alula.cli.options import LINK, Effects, LinkOption, Roaming, System
+from alula.cli.options import LINK, Effects, LinkOption, Roaming, Signing, System
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError, VehicleError
@@ -90,6 +90,7 @@ def fly(
     processor: Annotated[int | None, typer.Option(min=0, help="Processor to keep the control thread on.")] = None,
     system: System = None,
     roaming: Roaming = False,
+    signing_key: Signing = None,
     timeout: Annotated[
         float | None,
         typer.Option(
@@ -136,6 +137,7 @@ def fly(
         processor=processor,
         system=system,
         roaming=roaming,
+        signing_key=signing_key,
         priority=REALTIME_PRIORITY if realtime else None,
         timeout=timeout,
         announce=partial(_announce, console),
@@ -144,7 +146,7 @@ def fly(
         write_json(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
-        print_next(*_following(report, vehicle, bundle, record, [reference, link]))
+        print_next(*_following(report, vehicle, bundle, record, [reference, link, signing_key]))
     if not report.landed:
         raise VehicleError(f"The flight did not end with a landing: {report.outcome}.")
     if not report.completed:
@@ -162,12 +164,20 @@ def _for(reference: str, effects: str) -> str:
 
 
 def _following(
-    report: FlightReport, vehicle: str | None, bundle: Path | None, record: Path | None, flown: list[str]
+    report: FlightReport, vehicle: str | None, bundle: Path | None, record: Path | None, flown: list[object]
 ) -> list[object]:
     """What to run next: diagnose the recording, or fly once more and record."""
     if record is not None and report.recording:
         return ["diagnose", report.recording, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
-    again = options([("--vehicle", vehicle), ("--bundle", bundle), ("--reference", flown[0]), ("--link", flown[1])])
+    again = options(
+        [
+            ("--vehicle", vehicle),
+            ("--bundle", bundle),
+            ("--reference", flown[0]),
+            ("--link", flown[1]),
+            ("--signing-key", flown[2]),
+        ]
+    )
     return ["fly", *again, "--record", "recordings"]
 
 

@@ -15,8 +15,8 @@ from alula.api.inputs import log_paths
 from alula.cli.console import Console
 from alula.cli.escaping import printable
 from alula.cli.intake import note_skipped
-from alula.cli.options import Effects, Mapping, Pose
-from alula.cli.output import print_next
+from alula.cli.options import Effects, Mapping, Pose, RecordedSystem
+from alula.cli.output import options, print_next
 from dynamics.errors import AlulaError, DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from studio.pages.provenance import origin
@@ -55,6 +55,7 @@ COLOURS = {
 def inspect(
     log: Annotated[list[Path], typer.Argument(help="Logs of any known format, or folders of them.", metavar="LOG...")],
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     pose: Pose = None,
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
@@ -93,7 +94,9 @@ def inspect(
     _end(inspections, refused)
     if not as_json:
         states_layout = any(inspection.format in AUTOPILOTS for inspection in inspections)
-        print_next(*(["vehicle", "from-log", *log] if states_layout else ["vehicle", "new"]))
+        print_next(
+            *(["vehicle", "from-log", *log, *options([("--system", system)])] if states_layout else ["vehicle", "new"])
+        )
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:

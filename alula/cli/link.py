@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -12,17 +13,19 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from alula.cli.console import Console
-from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
+from alula.cli.options import LINK, Effects, LinkOption, Signing, System, Timeout
 from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.signing_key import read_signing_key, write_signing_key
 from dynamics.vehicle_file import parse_vehicle
 from runtime.flight.composition import vehicle_facts
 from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
-from runtime.link.connection import parse_endpoint
-from runtime.link.link_check import check_link
+from runtime.link.connection import Endpoint, parse_endpoint
+from runtime.link.link_check import check_link, set_up_signing
 from runtime.link.link_report import LinkReport
 from runtime.link.rates import WINDOW
+from runtime.link.signing import SigningReport
 from runtime.link.start_conditions import VehicleFacts
 
 
@@ -38,6 +41,19 @@ def link(
         Path | None, typer.Option(help="Bundle that will fly, instead of --vehicle; its model needs no CasADi.")
     ] = None,
     effects: Effects = None,
+    signing_key: Signing = None,
+    setup_signing: Annotated[
+        Path | None,
+        typer.Option(
+            help="Give the autopilot the key of this file, over a serial line or within this machine alone; it signs "
+            "with it from then on. --signing-key is the key that it has now, if it has one.",
+            metavar="FILE",
+        ),
+    ] = None,
+    new_signing_key: Annotated[
+        Path | None,
+        typer.Option(help="Write a new random key to this file, readable by you alone, and end.", metavar="FILE"),
+    ] = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
     request_mode: Annotated[
         bool,
@@ -51,6 +67,13 @@ def link(
 
     Message rates are requested for some seconds and reset to their defaults; nothing else of the vehicle is changed.
     """
+    if new_signing_key is not None:
+        write_signing_key(new_signing_key)
+        print(f"written: {new_signing_key}, a new key that only you can read", file=sys.stderr)
+        print_next("link", "--link", "serial:/dev/ttyACM0", "--setup-signing", new_signing_key)
+        return
+    if setup_signing is not None:
+        signing_key = _set_up(setup_signing, signing_key, parse_endpoint(link), timeout, system)
     streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
     report = check_link(
         parse_endpoint(link),
@@ -60,24 +83,41 @@ def link(
         window=window,
         request_mode=request_mode,
         vehicle=_facts(vehicle, bundle, effects or ()),
+        signing_key=None if signing_key is None else read_signing_key(signing_key),
     )
     if as_json:
         write_json(_as_plain(report), STANDARD_OUTPUT)
     else:
         _print(report, Console())
-        print_next(*_following(report, link, vehicle, bundle))
+        print_next(*_following(report, link, vehicle, bundle, signing_key))
     if not report.is_ready:
         raise VehicleError(f"A flight over {report.endpoint} would not be engaged; the reasons are in the report.")
 
 
-def _following(report: LinkReport, link: str, vehicle: str | None, bundle: Path | None) -> list[object]:
+def _set_up(key: Path, present: Path | None, endpoint: Endpoint, timeout: float, system: int | None) -> Path:
+    """Give the autopilot a key. Returns its file: that of the link from then on."""
+    status = set_up_signing(
+        endpoint,
+        read_signing_key(key),
+        present=None if present is None else read_signing_key(present),
+        timeout=timeout,
+        target_system=system,
+    )
+    print(f"vehicle {status.system} signs with the key of {key} now", file=sys.stderr)
+    return key
+
+
+def _following(
+    report: LinkReport, link: str, vehicle: str | None, bundle: Path | None, signing_key: Path | None
+) -> list[object]:
     """What to run next: fly, check again when the reasons are gone, or make a vehicle file."""
     flown = options([("--vehicle", vehicle), ("--bundle", bundle)])
+    key = options([("--signing-key", signing_key)])
     if not report.is_ready:
-        return ["link", "--link", link, *flown]
+        return ["link", "--link", link, *flown, *key]
     if not flown:
         return ["vehicle", "new"]
-    return ["fly", "--link", link, *flown, "--reference", "hover", "--record", "recordings"]
+    return ["fly", "--link", link, *flown, *key, "--reference", "hover", "--record", "recordings"]
 
 
 def _facts(vehicle: str | None, bundle: Path | None, effects: Sequence[Path]) -> VehicleFacts | None:
@@ -116,6 +156,7 @@ def _print(report: LinkReport, console: Console) -> None:
     facts.add_row("battery", f"{vehicle.battery_voltage:.2f} V")
     count = report.acknowledgements_of_mode
     facts.add_row("mode request", f"{count} acknowledgements" if count else "none was made or acknowledged")
+    facts.add_row("signing", _signing(report.signing))
     facts.add_row("frames", f"{report.frames}, unknown {report.unknown_frames}, skipped {report.skipped_bytes} bytes")
     console.print(facts)
     console.print(_streams(report))
@@ -127,6 +168,16 @@ def _print(report: LinkReport, console: Console) -> None:
         console.print(f"[{'red' if problem.severity == 'error' else 'yellow'}]{problem.severity}[/]: {problem.text}")
     if report.is_ready:
         console.print("[green]ready[/]: no reason against engaging a flight")
+
+
+def _signing(signing: SigningReport) -> str:
+    """Whether the autopilot signs, and how many frames were accepted and refused."""
+    signs = {None: "no autopilot was heard", True: "the autopilot signs", False: "the autopilot does not sign"}
+    if not signing.required:
+        return f"{signs[signing.autopilot_signs]}; nothing is verified without --signing-key"
+    refused = f"{signing.unsigned} unsigned, {signing.wrong_key} wrong key, "
+    refused += f"{signing.replayed + signing.outdated} replayed"
+    return f"{signs[signing.autopilot_signs]}; {signing.signed} frames signed; refused: {refused}"
 
 
 def _streams(report: LinkReport) -> Table:

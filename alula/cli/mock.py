@@ -93,6 +93,14 @@ def mock(
         typer.Option(help="Seconds that the vehicle's clock gains per second of flight; 0.00002 by default."),
     ] = None,
     param: Annotated[list[str] | None, typer.Option(help="PX4 parameter NAME=VALUE. Repeatable.")] = None,
+    signing_key: Annotated[
+        Path | None,
+        typer.Option(
+            help="Key file (mode 600) of MAVLink 2 signing, as PX4 has it on its SD card; its date is that of the "
+            "key's set-up. Without it the mock signs once it is given a key (alula link --setup-signing).",
+            metavar="FILE",
+        ),
+    ] = None,
     end_with_input: Annotated[
         bool, typer.Option("--end-with-input", help="End when standard input does, as when its program was killed.")
     ] = False,
@@ -117,6 +125,7 @@ def mock(
         clock_drift=clock_drift,
         parameters=dict(parse_parameter(text) for text in param or ()),
         instance=instance,
+        signing_key=signing_key,
     )
     if end_with_input:
         threading.Thread(target=_end_with_input, name="input", daemon=True).start()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from dynamics.recorded_vehicle import choose_system
 
 Logs = Annotated[
     list[Path], typer.Argument(help="Logs of one vehicle in any format, or folders of them.", metavar="LOG...")
@@ -43,6 +46,26 @@ Effects = Annotated[
         help="Python file with effects of your own, beside the vehicle file's; runs in this call; repeatable.",
     ),
 ]
+
+
+def _chosen(system: int | None) -> int | None:
+    """The vehicle that the call reads from recordings of several, which are said on screen."""
+    from alula.cli.escaping import printable
+
+    choose_system(system, lambda line: print(printable(line), file=sys.stderr))
+    return system
+
+
+RecordedSystem = Annotated[
+    int | None,
+    typer.Option(
+        "--system",
+        min=1,
+        max=255,
+        callback=_chosen,
+        help="System id of the vehicle to read where a tlog holds several; by default the first autopilot.",
+    ),
+]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Figures = Annotated[
     Path | None,
@@ -71,6 +94,14 @@ Roaming = Annotated[
     bool,
     typer.Option(
         "--roaming", help="Let the vehicle continue from another address after 2 s of silence, as behind a modem."
+    ),
+]
+Signing = Annotated[
+    Path | None,
+    typer.Option(
+        "--signing-key",
+        help="Key file (mode 600) of MAVLink 2 signing: sign all that is sent, accept nothing unsigned of the vehicle.",
+        metavar="FILE",
     ),
 ]
 Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")]

@@ -10,7 +10,7 @@ import typer
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, HoldOut, Logs, Mapping, Pose, VehicleOption
+from alula.cli.options import Effects, HoldOut, Logs, Mapping, Pose, RecordedSystem, VehicleOption
 from alula.cli.output import options, print_next
 from alula.cli.progress import stage_bar
 from alula.cli.tables import before_and_after, open_loop_table
@@ -35,6 +35,7 @@ def prove(
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     pose: Pose = None,
     json: Annotated[Path | None, typer.Option(help="Write the errors as JSON; - for standard output.")] = None,
 ) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Mapping, VehicleOption
+from alula.cli.options import Effects, Mapping, RecordedSystem, VehicleOption
 from alula.cli.output import print_next
 from alula.cli.progress import counting_bar
 from alula.workbench import workbench
@@ -43,6 +43,7 @@ def sweep(
         typer.Option(help=f"For {STARRED}: logs of a simulation without effects (alula campaign --no-effects)."),
     ] = None,
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     effects: Effects = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.", rich_help_panel=TRAINING)] = 2,
     steps: Annotated[

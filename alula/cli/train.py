@@ -15,7 +15,7 @@ from rich.table import Table
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Mapping, VehicleOption
+from alula.cli.options import Effects, Mapping, RecordedSystem, VehicleOption
 from alula.cli.output import print_next
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -56,6 +56,7 @@ def train(
         str | None, typer.Option(help="File names not to read at all, as a pattern.", rich_help_panel=FLIGHTS)
     ] = None,
     mapping: Mapping = None,
+    system: RecordedSystem = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(

@@ -14,7 +14,7 @@ from rich.table import Table
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import note_skipped, vehicle_of_logs
-from alula.cli.options import Effects, Logs, VehicleOption
+from alula.cli.options import Effects, Logs, RecordedSystem, VehicleOption
 from alula.cli.options import Mapping as MappingOption
 from alula.cli.output import command, options, print_next
 from dynamics.autopilot_frames import FRAMES
@@ -92,6 +92,7 @@ def from_log(
         float | None, typer.Option(min=1.0, help="Of a rotor at full signal, rad/s, for logs without rotor speeds.")
     ] = None,
     mapping: MappingOption = None,
+    system: RecordedSystem = None,
     out: Out = None,
     json: Json = None,
 ) -> None:
@@ -110,17 +111,23 @@ def from_log(
         mapping=mapping,
     )
     if not made.draft.is_complete:
-        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options([("--arm", arm)])]
+        shared = options([("--arm", arm), ("--system", system)])
+        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *shared]
         _report(made.draft, None, json, words)
         return
     path = out or Path(f"{name}.toml")
     write_vehicle_text(made.draft.toml if made.draft.vehicle else "", path)
-    _report(made.draft, path, json, ["diagnose", *logs, "--vehicle", path])
+    _report(made.draft, path, json, ["diagnose", *logs, "--vehicle", path, *options([("--system", system)])])
 
 
 @commands.command()
 def check(
-    logs: Logs, vehicle: VehicleOption = None, effects: Effects = None, mapping: MappingOption = None, json: Json = None
+    logs: Logs,
+    vehicle: VehicleOption = None,
+    effects: Effects = None,
+    mapping: MappingOption = None,
+    system: RecordedSystem = None,
+    json: Json = None,
 ) -> None:
     """Compare a vehicle file with logs: layout, thrust, inertia, motor lag; what disagrees, and by how much."""
     vehicle = vehicle_of_logs(logs, vehicle, mapping)

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
 from dynamics.autopilot import is_autopilot
+from dynamics.recorded_vehicle import recorded_vehicle
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers import mavlink_streams
@@ -105,13 +106,18 @@ def read(source: Source) -> LogContent:
             ):
                 autopilots.append(sender)
     _note_counts(assembly, counts)
-    vehicle = _vehicle(collected, autopilots, assembly)
+    vehicle = _vehicle(source, collected, autopilots, assembly)
     chosen = {
         number: (messages.arrival, messages.table)
         for sender, kinds in collected.items()
         for number, messages in kinds.items()
-        if messages.arrivals and (sender != vehicle) == (number in mavlink_streams.SENT_TO_VEHICLE)
+        if messages.arrivals and sender == vehicle and number not in mavlink_streams.SENT_TO_VEHICLE
     }
+    for number in mavlink_streams.SENT_TO_VEHICLE:
+        senders = (kinds[number] for sender, kinds in collected.items() if sender != vehicle and number in kinds)
+        sent = max((_addressed(each, vehicle) for each in senders), key=lambda rows: len(rows[0]), default=None)
+        if sent is not None and len(sent[0]):
+            chosen[number] = sent
     mavlink_streams.add_streams(assembly, chosen)
     return assembly.finish()
 
@@ -124,16 +130,26 @@ def _note_counts(assembly: Assembly, counts: dict[str, int]) -> None:
 
 
 def _vehicle(
-    collected: dict[tuple[int, int], dict[int, Messages]], autopilots: list[tuple[int, int]], assembly: Assembly
+    source: Source,
+    collected: dict[tuple[int, int], dict[int, Messages]],
+    autopilots: list[tuple[int, int]],
+    assembly: Assembly,
 ) -> tuple[int, int] | None:
-    """The vehicle's address: the first autopilot's, or else that of the sender of most messages."""
-    if len(autopilots) > 1:
-        assembly.note(f"{len(autopilots)} vehicles are on this link; the first, system {autopilots[0][0]}, is read")
-    if autopilots or not collected:
-        return autopilots[0] if autopilots else None
-    sender = max(collected, key=lambda one: sum(len(kind.arrivals) for kind in collected[one].values()))
-    assembly.note(f"no autopilot's heartbeat: system {sender[0]}, which sends most, is taken for the vehicle")
-    return sender
+    """The address of the vehicle that is read, with a note where there was a choice."""
+    frames = {sender: sum(len(kind.arrivals) for kind in kinds.values()) for sender, kinds in collected.items()}
+    if not frames:
+        return None
+    vehicle, note = recorded_vehicle(source.path, autopilots, frames)
+    if note:
+        assembly.note(note)
+    return vehicle
+
+
+def _addressed(messages: Messages, vehicle: tuple[int, int] | None) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Arrivals and fields of the messages that one sender has addressed to a vehicle, or to all."""
+    arrival, table = messages.arrival, messages.table
+    rows = np.isin(table["target_system"], (0,) if vehicle is None else (0, vehicle[0]))
+    return arrival[rows], table[rows]
 
 
 def _spanned(stream: BinaryIO, counts: dict[str, int], span: TimeSpan | None) -> Iterator[tuple[int, bytes]]:

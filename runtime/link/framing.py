@@ -42,6 +42,11 @@ class Frame:
         self._message: Message | None = None
 
     @property
+    def is_signed(self) -> bool:
+        """Whether it carries a signature, verified or not."""
+        return self.data[0] == MAGIC_V2 and bool(self.data[2] & _SIGNED)
+
+    @property
     def payload(self) -> bytes:
         """The payload as it was sent, without the trailing zeros that MAVLink 2 omits."""
         start = _HEADER_V2 if self.data[0] == MAGIC_V2 else _HEADER_V1

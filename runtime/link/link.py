@@ -15,25 +15,30 @@ from typing import Literal, Self, TypeVar
 import msgspec
 
 from dynamics.errors import AlulaError, VehicleError
+from dynamics.signing_key import SigningKey
 from runtime import realtime
 from runtime.link.connection import Endpoint
 from runtime.link.dialect import Message, mavlink
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.framing import Frame, FrameParser
 from runtime.link.peer import Peer, Reaction
+from runtime.link.signing import ACCEPTED, MESSAGES_LINK, REFUSALS, SETPOINTS_LINK, Signing
+from runtime.link.silence import explain_silence
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
-from runtime.link.transport import Transport, TransportLostError, open_transport
+from runtime.link.transport import Received, Transport, TransportLostError, open_transport
 from runtime.link.vehicle_source import Address, VehicleSource
 
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
+Arrival = tuple[Frame, float, Address | None]  # a frame, when it came, s, monotonic, and where from
 
 _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust (docs/px4.md)
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
-_MAX_BATCH = 32  # frames read before they are handled
+_MAX_BATCH = 32  # frames, and datagrams, read before the frames are handled
 _OTHERS_PERIOD = 0.02  # s between datagrams from elsewhere than the vehicle's address, whatever a stranger sends
+_SETUP_SIGNING = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING  # carries a key: neither recorded nor passed on
 CANDIDATES_TIME = 2.0  # s in which other vehicles on the link must be heard: two periods of HEARTBEAT
 
 
@@ -42,6 +47,7 @@ class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     target_system: the vehicle's system id, None for the first autopilot heard.
     roaming: whether the vehicle may continue from another address after a silence.
+    signing_key: under which all is signed and nothing unsigned accepted, None for neither.
     own_system: None for the vehicle's own, as a companion on board.
     own_component: MAVLink's component id.
     gcs_heartbeat: whether to send a ground station's heartbeat, without which PX4 sends no STATUSTEXT; one that stops
@@ -54,6 +60,7 @@ class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     target_system: int | None = None
     roaming: bool = False
+    signing_key: SigningKey | None = None
     own_system: int | None = None
     own_component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
     gcs_heartbeat: bool = False
@@ -89,6 +96,7 @@ class Link:
     peer: the vehicle, as far as it was heard.
     source: the address that the vehicle sends from.
     parser: of the incoming bytes.
+    signing: of frames in both directions.
     """
 
     def __init__(
@@ -100,10 +108,17 @@ class Link:
         self.source = VehicleSource(roaming=self.settings.roaming)
         self.parser = FrameParser()
         self._callbacks = callbacks or LinkCallbacks()
-        self._transport: Transport = open_transport(endpoint)
+        self.signing = Signing(self.settings.signing_key)
+        try:
+            self._transport: Transport = open_transport(endpoint)
+        except AlulaError:
+            self.signing.close()
+            raise
         self._sequence = itertools.count()
         # two packers, so that the control thread shares no lock with anybody
         self._packer, self._setpoint_packer = mavlink.MAVLink(None), mavlink.MAVLink(None)
+        self.signing.equip(self._packer, MESSAGES_LINK)
+        self.signing.equip(self._setpoint_packer, SETPOINTS_LINK)
         self._send_lock = threading.Lock()
         self._estimate: StateEstimate | None = None
         self._waiting: list[threading.Lock] = []
@@ -112,7 +127,7 @@ class Link:
         self._text_identities = itertools.count(1)
         self._next_heartbeat = self._next_timesync = self._next_other = float("-inf")
         self._fixes_at: float | None = None
-        self._silent = False
+        self._silent = self._signing_failed = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
@@ -130,6 +145,7 @@ class Link:
         self._stop.set()
         if self._thread is not threading.current_thread():
             self._thread.join()
+        self.signing.close()
         self._transport.close()
 
     @property
@@ -180,7 +196,16 @@ class Link:
         Raises VehicleError after it, with a list of what was heard instead.
         """
         if not self._vehicle_found.wait(timeout):
-            raise VehicleError(self._explain_silence(timeout))
+            raise VehicleError(
+                explain_silence(
+                    self.endpoint,
+                    timeout,
+                    target_system=self.settings.target_system,
+                    heard=self.peer.heard,
+                    skipped_bytes=self.parser.skipped_bytes,
+                    refusals=self.signing.explain_refusals(),
+                )
+            )
         return self.peer.status
 
     def require_one_vehicle(self) -> None:
@@ -198,24 +223,6 @@ class Link:
                 f"{len(candidates)} vehicles are on {self.endpoint}: {listed}. Nothing was sent to fly. "
                 f"Choose one: --system {min(candidates)[0]}, or give each its own port."
             )
-
-    def _explain_silence(self, timeout: float) -> str:
-        heard = self.peer.heard
-        who = ", ".join(f"{system}/{component} ({what})" for (system, component), what in sorted(heard.items()))
-        if self.settings.target_system is not None and heard:
-            return (
-                f"No vehicle with system id {self.settings.target_system} on {self.endpoint} within {timeout:g} s. "
-                f"Heard (system/component): {who}. Give one of these, or leave the system id out."
-            )
-        if heard:
-            return f"No autopilot's heartbeat on {self.endpoint} within {timeout:g} s. Heard (system/component): {who}."
-        what = "bytes that are no MAVLink, wrong baud rate?" if self.parser.skipped_bytes else "nothing at all"
-        return (
-            f"No MAVLink arrived on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
-            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), 127.0.0.1 hears this "
-            "machine alone (0.0.0.0 or --link with your own address: the network), a telemetry port "
-            "needs MAV_1_CONFIG set and the same baud rate at both ends, and a firewall may drop UDP."
-        )
 
     # --- sending
 
@@ -257,11 +264,16 @@ class Link:
     def _pack_and_send(self, packer: Message, message: Message, component: int) -> bool:
         packer.srcSystem, packer.srcComponent = self.own_system, component
         packer.seq = next(self._sequence) & 0xFF
+        self.signing.stamp(packer)
         data = message.pack(packer)
         sent = self._transport.send(data)
-        if sent and self._callbacks.frame is not None:
+        if sent and self._callbacks.frame is not None and message.get_msgId() != _SETUP_SIGNING:
             self._callbacks.frame("out", time.monotonic(), data)
         return sent
+
+    def send_signing_setup(self, key: SigningKey) -> None:
+        """Send the vehicle a key for signing. Raises RequestError or VehicleError where that is not safe."""
+        self.send(self.signing.setup_message(key, self.endpoint, self.status))
 
     # --- requests and answers
 
@@ -328,16 +340,21 @@ class Link:
                     self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
             self._hear_others(time.monotonic())
 
-    def _receive(self) -> list[tuple[Frame, float, Address | None]]:
+    def _receive(self) -> list[Arrival]:
         """The frames that have arrived, state estimates first: autopilots send in bursts, and the others can wait."""
-        batch: list[tuple[Frame, float, Address | None]] = []
-        received = self._transport.receive()
-        while received is not None and len(batch) < _MAX_BATCH:
-            batch += [(frame, received.time, received.source) for frame in self.parser.feed(received.data)]
+        batch: list[Arrival] = []
+        for number in range(_MAX_BATCH):  # of datagrams as well: a flood without a frame in it must not keep us here
             try:
-                received = self._transport.receive(wait=False)
+                received = self._transport.receive(wait=number == 0)
             except TransportLostError:
+                if number == 0:
+                    raise
                 break  # what came before the end is handled; the next call finds the end again
+            if received is None:
+                break
+            batch += self._usable(self.parser, received)
+            if len(batch) >= _MAX_BATCH:
+                break
         if len(batch) > 1:
             batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
         return batch
@@ -352,11 +369,28 @@ class Link:
             self._transport.keep_to_peer()
         received = self._transport.receive_other()
         if received is not None:
-            for frame in FrameParser().feed(received.data):  # a stranger's half frame is in nobody's way
-                self._handle(frame, received.time, received.source)
+            for arrival in self._usable(FrameParser(), received):  # a stranger's half frame is in nobody's way
+                self._handle(*arrival)
+
+    def _usable(self, parser: FrameParser, received: Received) -> list[Arrival]:
+        """The frames of received bytes that address and signature speak for, judged in the order of their arrival."""
+        usable: list[Arrival] = []
+        for frame in parser.feed(received.data):
+            is_of_vehicle = (frame.system, frame.component) == self.peer.address
+            if is_of_vehicle and not self.source.admits(received.source, received.time):
+                self._reject_stranger(received.time, received.source)
+            elif self._has_accepted_signature(frame, received.time, received.source):
+                usable.append((frame, received.time, received.source))
+        return usable
 
     def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
-        if (frame.system, frame.component) == self.peer.address and not self._comes_from_vehicle(received, source):
+        if (frame.system, frame.component) == self.peer.address:
+            if not self.source.admits(source, received):  # the address was fixed by the frame before
+                self._reject_stranger(received, source)
+                return
+            self.source.accept(source, received)
+            self._transport.set_peer(source)
+        if frame.message_id == _SETUP_SIGNING:
             return
         reaction = self.peer.handle(frame, received)
         if reaction.reset is not None and self._callbacks.reset is not None:
@@ -365,7 +399,8 @@ class Link:
             self._publish_estimate(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
             if not self._vehicle_found.is_set():
-                self._comes_from_vehicle(received, source)
+                self.source.accept(source, received)
+                self._transport.set_peer(source)
                 self._fixes_at = received + CANDIDATES_TIME  # until then other vehicles must be heard
                 self._vehicle_found.set()
                 self._next_heartbeat = float("-inf")  # before, there was no address to send one to
@@ -375,18 +410,28 @@ class Link:
                 listener(frame.message)
         self._call_back(frame, received, reaction)
 
-    def _comes_from_vehicle(self, received: float, source: Address | None) -> bool:
-        """Whether a frame with the vehicle's ids is the vehicle's; strangers are counted and reported once."""
-        if self.source.accepts(source, received):
-            self._transport.set_peer(source)
-            return True
+    def _reject_stranger(self, received: float, source: Address | None) -> None:
+        """Count a frame with the vehicle's ids from elsewhere; the first is reported."""
+        self.source.reject(source)
         if self.source.rejected == 1 and self.source.address is not None:
-            host, port = source or ("?", 0)
+            host, port = (source or ("?", 0))[:2]
             text = (
                 f"{host}:{port} sends with the ids of vehicle {self.peer.address}, which is heard from "
                 f"{self.source.address[0]}:{self.source.address[1]}; it is not followed."
             )
             self._publish_event(received, "stranger_on_link", "warning", text)
+
+    def _has_accepted_signature(self, frame: Frame, received: float, source: Address | None) -> bool:
+        """Whether a frame may be used as far as its signature says; the first refusal of a kind is reported."""
+        verdict = self.signing.judge(frame, self.peer.address)
+        if verdict in ACCEPTED:
+            return True
+        if verdict in ("replayed", "outdated") and self.peer.address is None:
+            # an autopilot without a clock continues from an old timestamp until it hears our heartbeat
+            self._transport.set_peer(source)
+        if self.signing.counts[verdict] == 1:
+            text = f"A frame of {frame.system}/{frame.component} {REFUSALS[verdict]}; it is not used."
+            self._publish_event(received, f"{verdict}_frame", "warning", text)
         return False
 
     def _publish_estimate(self, estimate: StateEstimate) -> None:
@@ -421,6 +466,10 @@ class Link:
         if now >= self._next_timesync and self.peer.address is not None:
             self._next_timesync = now + self.settings.timesync_period
             self.send(mavlink.MAVLink_timesync_message(0, time.monotonic_ns()))
+        if self.signing.clock is not None and self.signing.clock.failure and not self._signing_failed:
+            self._signing_failed = True
+            text = f"After a crash, timestamps of signing may repeat: {self.signing.clock.failure}"
+            self._publish_event(now, "signing_unsaved", "warning", text)
         silent = self.peer.address is not None and not self.is_connected(now)
         if silent != self._silent:
             self._silent = silent

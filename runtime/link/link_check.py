@@ -7,17 +7,20 @@ import time
 from collections.abc import Mapping
 from math import isfinite
 
+from dynamics.errors import VehicleError
+from dynamics.signing_key import SigningKey
 from runtime.link import commands
 from runtime.link.connection import Endpoint
 from runtime.link.dialect import mavlink
 from runtime.link.link import Link, LinkCallbacks, LinkSettings
-from runtime.link.link_report import AttitudeCheck, ClockCheck, LinkReport, StreamCheck, link_problems
+from runtime.link.link_report import AttitudeCheck, ClockCheck, LinkReport, StreamCheck, link_problems, signing_problems
 from runtime.link.parameters import Parameter, read_parameters
 from runtime.link.problem import Problem
 from runtime.link.rates import WINDOW
+from runtime.link.signing import is_private, not_private
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import StartFacts, VehicleFacts, observe_start, start_problems
-from runtime.link.telemetry import LinkEvent
+from runtime.link.telemetry import LinkEvent, VehicleStatus
 
 STREAMS: Mapping[str, float] = {"ODOMETRY": 100.0, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
 PARAMETERS = (
@@ -46,6 +49,7 @@ def check_link(
     window: float = WINDOW,
     request_mode: bool = False,
     vehicle: VehicleFacts | None = None,
+    signing_key: SigningKey | None = None,
 ) -> LinkReport:
     """Listen to a vehicle, request its streams on this link, and reset them to their default rates.
 
@@ -55,11 +59,13 @@ def check_link(
     request_mode: whether to request a disarmed vehicle's present mode once more, to count the acknowledgements. A mode
         switched since its last heartbeat would be taken back.
     vehicle: what the autopilot's parameters must agree with, None to leave that out.
+    signing_key: under which the link is signed, None for an unsigned one.
     Raises VehicleError when no vehicle is heard, or several without target_system, RequestError for a message that does
     not exist.
     """
     events: list[LinkEvent] = []
-    with Link(endpoint, LinkSettings(target_system=target_system), LinkCallbacks(event=events.append)) as link:
+    settings = LinkSettings(target_system=target_system, signing_key=signing_key)
+    with Link(endpoint, settings, LinkCallbacks(event=events.append)) as link:
         link.wait_for_vehicle(timeout)
         link.require_one_vehicle()
         time.sleep(window)
@@ -81,6 +87,43 @@ def check_link(
         report = _report(link, now, checks, parameters, acknowledgements, tuple(events), facts, start)
         commands.request_rates(link, dict.fromkeys((*streams, *START_STREAMS), 0.0))
     return report
+
+
+def set_up_signing(
+    endpoint: Endpoint,
+    key: SigningKey,
+    *,
+    present: SigningKey | None = None,
+    timeout: float = 10.0,
+    target_system: int | None = None,
+) -> VehicleStatus:
+    """Give a vehicle a key for signing, and wait until it signs with it. Returns the vehicle's status then.
+
+    present: the key that the vehicle has, None for none. timeout: s to wait for the vehicle, and for its signature.
+    Raises RequestError for an endpoint that reaches other machines, VehicleError for a vehicle that is not heard, is
+    armed or does not take the key.
+    """
+    if not is_private(endpoint):
+        raise not_private(endpoint)
+    settings = LinkSettings(target_system=target_system, signing_key=present)
+    with Link(endpoint, settings) as link:
+        link.wait_for_vehicle(timeout)
+        link.require_one_vehicle()
+        if link.signing.report(link.peer.address).autopilot_signs and present is None:
+            raise VehicleError(
+                "The autopilot signs already, and only its present key can change that. Give this as --signing-key; "
+                "if it is lost, remove the key file from the autopilot's SD card."
+            )
+        link.send_signing_setup(key)
+        vehicle = link.status.system
+    with Link(endpoint, LinkSettings(target_system=vehicle, signing_key=key)) as link:
+        try:
+            return link.wait_for_vehicle(timeout)
+        except VehicleError as error:
+            raise VehicleError(
+                f"The key was sent, but the vehicle does not sign with it. Firmware that can is needed (PX4 of 2026). "
+                f"{error}"
+            ) from None
 
 
 def _report(
@@ -109,6 +152,7 @@ def _report(
     values = {
         name: parameter.error if parameter.value is None else parameter.value for name, parameter in parameters.items()
     }
+    signing = link.signing.report(peer.address)
     position = tuple(estimate.position_world.tolist()) if estimate is not None else None
     return LinkReport(
         endpoint=str(link.endpoint),
@@ -123,10 +167,14 @@ def _report(
         parameters=values,
         acknowledgements_of_mode=acknowledgements,
         events=events,
-        problems=link_problems(streams, clock, status, values, events, start, has_estimate=estimate is not None),
+        problems=(
+            *signing_problems(signing),
+            *link_problems(streams, clock, status, values, events, start, has_estimate=estimate is not None),
+        ),
         frames=link.parser.frames,
         unknown_frames=link.parser.unknown,
         skipped_bytes=link.parser.skipped_bytes,
+        signing=signing,
     )
 
 

@@ -10,10 +10,12 @@ import msgspec
 
 from runtime.link.problem import Problem
 from runtime.link.rates import StreamRate
+from runtime.link.signing import TAKES_SIGNED_ALONE, SigningReport
 from runtime.link.telemetry import LinkEvent, VehicleStatus
 
 MIN_RATE_SHARE = 0.9  # of the requested rate
 MAX_ROUND_TRIP = 0.02  # s
+MAX_SIGNING_LEAD = 60.0  # s by which a new stream may be behind its receiver (mavlink.io, Message Signing)
 _REFUSING_EVENTS = ("estimate_frame_refused", "estimate_stamp_ahead")
 _EXPECTED_EVENTS = ("mode_changed", "vehicle_found", "landed_state", "armed", "disarmed", "vehicle_heard_again")
 
@@ -76,6 +78,7 @@ class LinkReport(msgspec.Struct, frozen=True):
     events: of the link during the check.
     problems: errors and warnings.
     frames, unknown_frames, skipped_bytes: counts over the whole check.
+    signing: whether signatures are required, and how many frames were accepted and refused.
     """
 
     endpoint: str
@@ -94,6 +97,7 @@ class LinkReport(msgspec.Struct, frozen=True):
     frames: int
     unknown_frames: int
     skipped_bytes: int
+    signing: SigningReport = SigningReport()
 
     @property
     def is_ready(self) -> bool:
@@ -158,6 +162,20 @@ def _clock_problems(clock: ClockCheck) -> list[Problem]:
         text = f"The round trip takes {clock.round_trip * 1e3:.0f} ms; on serial adapters look for a latency timer."
         return [Problem("warning", text)]
     return []
+
+
+def signing_problems(signing: SigningReport) -> tuple[Problem, ...]:
+    """The problems of a link's signatures; refused frames are among its events."""
+    if signing.autopilot_signs and not signing.required:
+        return (Problem("error", f"The autopilot {TAKES_SIGNED_ALONE}"),)
+    if signing.lead > MAX_SIGNING_LEAD:
+        text = (
+            f"The timestamps of signing are {signing.lead:.0f} s ahead of this computer's clock, as a clock that was "
+            "set back or an autopilot that is ahead leaves them: other computers' frames count as outdated. Set this "
+            "computer's clock; if it is right, make a new key."
+        )
+        return (Problem("warning", text),)
+    return ()
 
 
 def _vehicle_problems(status: VehicleStatus) -> list[Problem]:

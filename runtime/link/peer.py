@@ -7,7 +7,7 @@ from math import nan
 
 import msgspec
 
-from dynamics.autopilot import is_autopilot
+from dynamics.autopilot import first_vehicle, is_autopilot
 from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
 from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
@@ -170,7 +170,7 @@ class Peer:
         if not is_autopilot(component, message.type, message.autopilot):
             return
         self.candidates[system, component] = self.heard[system, component]
-        if self._target_system not in (None, system):
+        if first_vehicle(((system, component),), self._target_system) is None:
             return
         if not self._status.is_known:
             self._status = VehicleStatus(system=system, component=component, autopilot=autopilot, kind=kind)

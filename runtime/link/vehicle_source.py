@@ -30,16 +30,26 @@ class VehicleSource:
         self.stranger: Address | None = None
 
     def accepts(self, source: Address | None, time: float) -> bool:
-        """Whether a datagram with the vehicle's ids is the vehicle's. time: of its arrival, s, monotonic."""
-        if source is None:
-            return True
-        source = source[:2]
-        if source != self.address and not self._may_move_to(source, time):
-            self.rejected += 1
-            self.stranger = source
+        """Whether a datagram with the vehicle's ids is the vehicle's, counted. time: of its arrival, s, monotonic."""
+        if not self.admits(source, time):
+            self.reject(source)
             return False
-        self.address, self._heard = source, time
+        self.accept(source, time)
         return True
+
+    def admits(self, source: Address | None, time: float) -> bool:
+        """Whether a datagram with the vehicle's ids may be the vehicle's by its address."""
+        return source is None or source[:2] == self.address or self._may_move_to(source[:2], time)
+
+    def accept(self, source: Address | None, time: float) -> None:
+        """Take a datagram for the vehicle's: its address is the vehicle's from now on."""
+        if source is not None:
+            self.address, self._heard = source[:2], time
+
+    def reject(self, source: Address | None) -> None:
+        """Count a datagram of a stranger."""
+        self.rejected += 1
+        self.stranger = None if source is None else source[:2]
 
     def _may_move_to(self, source: Address, time: float) -> bool:
         if self.address is None:

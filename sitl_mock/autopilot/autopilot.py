@@ -25,6 +25,7 @@ from sitl_mock.vehicle.vehicle_interface import Vehicle
 from sitl_mock.wire import telemetry
 from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.link import Link
+from sitl_mock.wire.signing import AutopilotSigning
 from sitl_mock.wire.snapshot import Snapshot
 from sitl_mock.wire.statustext import TextWriter
 from sitl_mock.wire.streams import STEP, Role
@@ -59,6 +60,7 @@ class Autopilot:
 
     next_step: simulated time at which the next pass ends, s.
     estimates_sent: ODOMETRY messages that the last pass queued.
+    signing: its key of MAVLink signing, if it has one.
     """
 
     def __init__(self, vehicle: Vehicle, parameters: Parameters, behaviour: Behaviour):
@@ -68,6 +70,7 @@ class Autopilot:
         self.links: list[Link] = []
         self.next_step = vehicle.time + STEP
         self.estimates_sent = 0
+        self.signing = AutopilotSigning()
         self._random = random.Random(behaviour.seed)
         self.commander = Commander(parameters, rule=behaviour.rule, seed=behaviour.seed + 1)
         self.clock = VehicleClock(drift=behaviour.clock_drift, tick=behaviour.clock_tick)
@@ -93,6 +96,7 @@ class Autopilot:
             self.estimate_fault,
             self.clock,
             self.links,
+            self.signing,
             double_ack=behaviour.double_ack,
             source=self._random,
         )
@@ -107,7 +111,8 @@ class Autopilot:
 
     def add_link(self, name: str, role: Role) -> Link:
         """A further link with PX4's streams for its role."""
-        link = Link(name, role, self.system, frozenset(telemetry.BUILDERS), seed=self._random.randrange(1 << 30))
+        seed = self._random.randrange(1 << 30)
+        link = Link(name, role, self.system, frozenset(telemetry.BUILDERS), seed=seed, signing=self.signing)
         self.links.append(link)
         return link
 

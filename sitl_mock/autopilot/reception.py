@@ -15,6 +15,7 @@ from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, Vehicle
 from sitl_mock.wire.dialect import AUTOPILOT_COMPONENT, Message, mavlink
 from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.link import Link
+from sitl_mock.wire.signing import AutopilotSigning
 
 ACK_DELAY = (0.0005, 0.0145)  # s; measured 0.5 to 16 ms
 SECOND_ACK_DELAY = (0.0, 0.007)
@@ -34,6 +35,7 @@ class Reception:
         estimate_fault: EstimateFault,
         clock: VehicleClock,
         links: list[Link],
+        signing: AutopilotSigning,
         *,
         double_ack: bool,
         source: random.Random,
@@ -41,7 +43,7 @@ class Reception:
         """double_ack: DO_SET_MODE is answered twice. source: random numbers for the delays of answers."""
         self._vehicle, self._commander, self._parameters = vehicle, commander, parameters
         self._commands, self._estimate_fault, self._clock = commands, estimate_fault, clock
-        self._links = links
+        self._links, self._signing = links, signing
         self._system = int(parameters["MAV_SYS_ID"])
         self._double_ack = double_ack
         self._random = source
@@ -132,6 +134,10 @@ class Reception:
             for other in self._links:
                 other.send(again, self._parameters.value_message(name))
 
+    def _setup_signing(self, _: Link, __: float, message: Message) -> None:
+        if self._is_addressed(message) and not self._commander.armed:
+            self._signing.handle_setup(message)
+
     def _mission_list(self, link: Link, time: float, message: Message) -> None:
         if self._is_addressed(message):
             kind = getattr(message, "mission_type", 0)
@@ -160,5 +166,6 @@ HANDLERS: dict[str, Callable[[Reception, Link, float, Message], None]] = {
     "PARAM_REQUEST_LIST": Reception._parameter_list,
     "PARAM_REQUEST_READ": Reception._parameter_read,
     "PARAM_SET": Reception._parameter_set,
+    "SETUP_SIGNING": Reception._setup_signing,
     "MISSION_REQUEST_LIST": Reception._mission_list,
 }

@@ -9,6 +9,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 from sitl_mock.wire.dialect import AUTOPILOT_COMPONENT, Message, mavlink
+from sitl_mock.wire.signing import REFUSED, AutopilotSigning, SignedParser
 from sitl_mock.wire.streams import Role, Streams, loop_delay
 
 GCS_TYPE = 6
@@ -67,7 +68,7 @@ def _is_false_start(message: Message, following: bytearray) -> bool:
     following: the byte behind them, if there is one.
     """
     if message.get_type() == "BAD_DATA":
-        return message.get_msgbuf()[0] in MARKERS
+        return message.get_msgbuf()[0] in MARKERS and message.reason != REFUSED
     return "UNKNOWN" in message.get_type() and len(following) > 0 and following[0] not in MARKERS
 
 
@@ -79,7 +80,17 @@ class Link:
     punctual: leave out the jitter of PX4's mavlink loop, as lockstep needs.
     """
 
-    def __init__(self, name: str, role: Role, system: int, sendable: frozenset[int], *, seed: int = 0):
+    def __init__(
+        self,
+        name: str,
+        role: Role,
+        system: int,
+        sendable: frozenset[int],
+        *,
+        seed: int = 0,
+        signing: AutopilotSigning | None = None,
+    ):
+        """signing: the autopilot's, None for an autopilot that cannot sign."""
         self.name = name
         self.streams = Streams(role, sendable, seed)
         self.fault = LinkFault()
@@ -87,6 +98,8 @@ class Link:
         self.punctual = False
         self._random = random.Random(seed)
         self._packer = mavlink.MAVLink(None, srcSystem=system, srcComponent=AUTOPILOT_COMPONENT)
+        self._signing = mavlink.MAVLinkSigning() if signing is None else signing.add_link()
+        self._packer.signing = self._signing
         self._parsers: dict[Hashable, Message] = {}
         self._queue: list[_Queued] = []
         self._number = 0
@@ -103,8 +116,8 @@ class Link:
         if parser is None:
             if len(self._parsers) >= MAX_PARSERS:
                 self._parsers.pop(next(iter(self._parsers)))
-            parser = self._parsers[peer] = mavlink.MAVLink(None)
-            parser.robust_parsing = True
+            parser = self._parsers[peer] = SignedParser(None)
+            parser.robust_parsing, parser.signing = True, self._signing
         try:
             parsed = _parsed(parser, data)
         except Exception:  # pymavlink documents no exception and may raise any on hostile bytes; none may stop a link

@@ -190,6 +190,13 @@ def test_a_list_that_others_may_write_approves_nothing(loosen: str, tmp_path: Pa
         run_effect_file(file)
 
 
+def test_a_folder_in_place_of_the_list_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    store_path().mkdir(parents=True)
+    with pytest.raises(RequestError, match="cannot be used: Is a directory"):
+        read_approvals()
+
+
 def test_nothing_in_the_working_directory_approves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = effect_file("mine.py", "x = 1\n")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))

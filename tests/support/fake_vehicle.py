@@ -16,7 +16,16 @@ HOLD = 4 << 16 | 3 << 24
 class FakeVehicle:
     """Sends heartbeats at 20 Hz and answers TIMESYNC, commands and parameter requests in a thread of its own."""
 
-    def __init__(self, target: tuple[str, int], *, system: int = 1, clock_offset: float = 100.0) -> None:
+    def __init__(
+        self,
+        target: tuple[str, int],
+        *,
+        system: int = 1,
+        clock_offset: float = 100.0,
+        key: bytes | None = None,
+        timestamp: int = 0,
+    ) -> None:
+        """key: that it signs with, by pymavlink; None for none. timestamp: of its first signature."""
         self.system, self.clock_offset = system, clock_offset
         self.target = target
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -25,6 +34,9 @@ class FakeVehicle:
         self.mav = mavlink.MAVLink(None, system, 1)
         self.parser = mavlink.MAVLink(None)
         self.parser.robust_parsing = True
+        self.parser.signing = self.mav.signing
+        self.mav.signing.secret_key, self.mav.signing.timestamp = key, timestamp
+        self.mav.signing.sign_outgoing = key is not None
         self.custom_mode, self.armed, self.sends = HOLD, False, True
         self.acknowledgements: dict[int, list[int]] = {}  # results per command, in turn; the last one stays
         self.obeys = True
