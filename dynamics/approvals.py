@@ -18,6 +18,7 @@ from typing import Literal
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 
 NAME = "trusted.json"
@@ -58,7 +59,7 @@ def read_approvals() -> tuple[Approval, ...]:
         _require_own(path, os.fstat(descriptor))
         content = file.read(MAX_BYTES)
     try:
-        return msgspec.json.decode(content, type=tuple[Approval, ...])
+        return decode_json(content, tuple[Approval, ...])
     except msgspec.MsgspecError as error:
         raise _unusable(path, f"it is damaged: {error}") from None
 

@@ -17,6 +17,7 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
+from dynamics.decoding import decode_json
 from dynamics.errors import DataError, RequestError
 from runtime.record.records import TOPICS, Record
 
@@ -146,7 +147,7 @@ def _read(path: Path) -> FlightRecording:
                     topics[part.id] = part.topic
                 case Message():
                     rows = messages.setdefault(topics[part.channel_id], [])
-                    rows.append(msgspec.json.decode(part.data))
+                    rows.append(decode_json(part.data))
                 case Metadata() if part.name == "alula":
                     metadata.update(part.metadata)
                 case Attachment():

@@ -11,13 +11,13 @@ import fcntl
 import getpass
 import hashlib
 import threading
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import msgspec
 
+from dynamics.decoding import decode_json, editable_toml, parse_toml
 from dynamics.effect_source import EffectFile, read_effect_file, read_effect_file_below
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json, write_whole
@@ -125,7 +125,7 @@ class Case:
         """The name in a version's file, whatever else stands there; no effects run. Raises as `vehicle_path`."""
         path = self.vehicle_path(version)
         try:
-            name = tomllib.loads(path.read_text(encoding="utf-8")).get("name")
+            name = parse_toml(path.read_text(encoding="utf-8")).get("name")
         except (OSError, ValueError):  # of TOML and UTF-8
             name = None
         return name if isinstance(name, str) else path.stem
@@ -343,11 +343,11 @@ def _read_state(folder: Path) -> CaseState:
         advice = "Give the folder of a case; `alula studio LOG... --case FOLDER` makes one."
         raise RequestError(f"{folder} holds no case ({STATE_FILE}: {error.strerror or error}). {advice}") from None
     try:
-        number = msgspec.json.decode(content, type=dict[str, Any]).get("format")
+        number = decode_json(content, dict[str, Any]).get("format")
         if number != FORMAT:
             advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
             raise RequestError(f"{path} is of format {number!r}. {advice}")
-        return msgspec.json.decode(content, type=CaseState)
+        return decode_json(content, CaseState)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
 
@@ -370,7 +370,7 @@ def _without_effect_files(text: str) -> str:
     """A vehicle file without its list of effect files, which the case has."""
     import tomlkit
 
-    document = tomlkit.parse(text)
+    document = editable_toml(text)
     document.pop("effect_files", None)
     return tomlkit.dumps(document)
 
