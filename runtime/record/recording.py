@@ -42,16 +42,24 @@ class FlightRecording:
     complete: bool
 
     def table(self, topic: str) -> dict[str, NDArray[Any]]:
-        """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records."""
+        """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records.
+
+        Raises DataError for rows that differ in their fields.
+        """
         rows = self.messages.get(topic, [])
-        return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
+        with damage_named(self.path):
+            return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
 
     def records(self, kind: type[Record]) -> list[Any]:
-        """A topic's rows as the structs that were recorded; a field that the recording lacks has its default."""
-        return [
-            kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
-            for row in self.messages.get(TOPICS[kind], [])
-        ]
+        """A topic's rows as the structs that were recorded; a field that the recording lacks has its default.
+
+        Raises DataError for rows that are none.
+        """
+        with damage_named(self.path):
+            return [
+                kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
+                for row in self.messages.get(TOPICS[kind], [])
+            ]
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 import msgspec
@@ -13,6 +15,8 @@ from studio.case.case import ADVICE, LOGS, STATE_FILE, Case, files_of
 from studio.case.state import CaseLog
 
 ENDING = ".alula.zip"
+# What zipfile raises for damaged members: beside its own, of decompression, encryption, unknown methods and bad names.
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, LookupError, struct.error, OverflowError)
 MAX_BYTES = 16 << 30  # of an archive's files in all, against one that grows without end when it is opened
 
 
@@ -48,7 +52,7 @@ def unpack_archive(path: Path, folder: Path) -> Path:
             _require_case(path, entries)
             make_folder(folder, advice=ADVICE)
             archive.extractall(folder)
-    except (OSError, zipfile.BadZipFile) as error:
+    except (*DAMAGE, OSError) as error:
         raise RequestError(f"{path} cannot be opened as a case: {error}. Give a file that `Send` wrote.") from error
     return folder
 

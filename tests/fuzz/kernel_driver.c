@@ -126,9 +126,10 @@ static int one_call(kernel *r) {
             break;
         case 3:
         case 4:
-            if (rti_feedback(c, x) <= 1 && !finite_all(rti_inputs(c), NV)) return 1;
+            const int status = rti_feedback(c, x); /* 0 and 1: the step is in the inputs */
+            if ((status == 0 || status == 1) && !(finite_all(rti_inputs(c), NV) && finite_all(c->z, X0 + NV))) return 1;
             break;
-        case 5: rti_shift(c, near(0.5, 0.5)); break;
+        case 5: rti_shift(c, 0.5 + 0.5 * unit()); break;
         case 6: rti_propagate(r, x, u, near(0.01, 0.01), before); break;
         case 7: rti_filter_compare(c, before, change, by_file, x, near(0.01, 0.005)); break;
         case 8:
@@ -138,7 +139,7 @@ static int one_call(kernel *r) {
                 case 2: rti_fly_disturbance(c, near(1, 1)); break;
                 case 3: rti_parameters(r)[below(NP)] = near(parameters[below(NP)], 1); break;
                 case 4: rti_disturbance(c)[below(DISTURBANCE)] = near(0, 1); break;
-                default: rti_input_upper(c)[below(NU)] = near(usual_inputs[0], 500);
+                default: rti_input_upper(c)[below(NU)] = usual_inputs[0] * (1 + unit()); /* the daemon's own */
             }
             break;
         default: special(r);
@@ -161,7 +162,8 @@ int main(int count, char **words) {
             wildness = (int[]){0, 0, 1, 5, 50}[below(5)];
         }
         if (one_call(r)) {
-            printf("call %d: solved, and the inputs are not finite\n", call);
+            fprintf(stderr, "call %d: solved, and the inputs are not finite\n", call);
+            rti_free((condensed *)r);
             return 4;
         }
     }

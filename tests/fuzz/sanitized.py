@@ -30,7 +30,7 @@ from vehicles import FOLDER
 
 HERE = Path(__file__).parent
 # Undefined results of a conversion are outside of "undefined" by default; a division by zero has a result in IEEE 754.
-FLAGS = ("-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined,float-cast-overflow")
+FLAGS = ("-O0", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined,float-cast-overflow")
 STRICT = ("-fno-sanitize-recover=all", "-w")
 PROBLEM = Problem(nodes=5, horizon=0.25)
 LAG_AND_DRAG = (EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("rotor_drag", {"coefficient": 2e-5}))

@@ -1,0 +1,6 @@
+"""Exit 0 where the installed torch is a build that needs NVIDIA's libraries, 1 where it is one for the processor alone."""
+
+import sys
+from importlib import metadata
+
+sys.exit(not any(requirement.startswith("nvidia-") for requirement in metadata.requires("torch") or []))
