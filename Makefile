@@ -60,7 +60,7 @@ conformance: .venv/development.stamp
 
 wheel: .venv/workbench.stamp
 	bash .ci/wheels dist $(MACHINES)
-	$(BIN)/python .ci/sbom.py dist
+	$(BIN)/python requirements/sbom.py dist
 
 fuzz: .venv/development.stamp
 	$(BIN)/python -m tests.fuzz --hours $(HOURS)

@@ -88,12 +88,15 @@ def _program(folder: Path, sources: Mapping[str, str], flags: Sequence[str], ent
     kept = [flag for flag in flags if not flag.startswith(("-O", "-shared", "-fPIC"))]
     defines = [f'-DKERNEL="{entry}"', f"-DLEARNED={int(learned)}"]
     libraries = [*hpipm.linker_flags, f"-Wl,-rpath-link,{hpipm.hpipm.parent}", "-lm"]
-    command = [
-        find_compiler(), *kept, *FLAGS, *STRICT, *defines, *hpipm.compiler_flags, "kernel_driver.c", "-o", "driver", *libraries,
-    ]  # fmt: skip
+    return compiled(folder, "kernel_driver.c", (*kept, *defines, *hpipm.compiler_flags), libraries)
+
+
+def compiled(folder: Path, source: str, flags: Sequence[str], libraries: Sequence[str]) -> Path:
+    """The program of a source file in a folder, with sanitizers."""
+    command = [find_compiler(), *flags, *FLAGS, *STRICT, source, "-o", "program", *libraries]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
-    return folder / "driver"
+    return folder / "program"
 
 
 def _input(model: Model, solver: RtiSolver) -> bytes:

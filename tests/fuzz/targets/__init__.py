@@ -11,6 +11,10 @@ GROUPS = ("logs", "texts", "artefacts", "wire")
 
 
 def targets_of(group: str) -> Mapping[str, Target]:
-    """The targets of a group, by name; imported here, since only this group's process needs them."""
-    targets: tuple[Target, ...] = import_module(f"tests.fuzz.targets.{group}").TARGETS
+    """The targets of a group, by name; imported here, since only this group's process needs them.
+
+    group: one of `GROUPS`, or the name of another module with TARGETS.
+    """
+    module = f"tests.fuzz.targets.{group}" if group in GROUPS else group
+    targets: tuple[Target, ...] = import_module(module).TARGETS
     return {target.name: target for target in targets}
