@@ -30,8 +30,8 @@ Outside of the locks are:
 
 - **Another build of torch** than these, of which there are dozens on the PyTorch project's own index:
   `make TORCH=torch==2.13.0 demo` takes whichever your pip finds, by its version alone.
-- **`make docs`**, whose packages are pinned by version in `constraints.txt`, and `pip install alula` into an environment
-  of your own, which pip resolves by the ranges in `pyproject.toml`.
+- **`make docs`**, whose packages are pinned by version in `constraints.txt`, and `pip install alula` into an
+  environment of your own, which pip resolves by the ranges in `pyproject.toml`.
 - **The wheel's own build** by `pip wheel`, which fetches setuptools and pymavlink by the ranges in `pyproject.toml`; in
   `make demo` and `make test` both come out of the lock (`--no-build-isolation`).
 - **What is no Python package**: Python, pip, the C compiler, make, Chromium for the tests of pages.
@@ -45,8 +45,8 @@ writes locks and this page anew after a change of `pyproject.toml` or `constrain
 
 As SPDX expressions, from each package's metadata or licence file. Alula itself is under Apache-2.0. CasADi (LGPL) is
 loaded as a library of its own, and its HPIPM and BLASFEO (BSD-2-Clause) are in wheels with compiled controllers;
-pymavlink's generated messages, which a wheel carries, are under MIT. cvxopt (GPL) comes with rotorpy, a second simulator
-that the tests alone compare with; no wheel and no bundle has it.
+pymavlink's generated messages, which a wheel carries, are under MIT. cvxopt (GPL) comes with rotorpy, a second
+simulator that the tests alone compare with; no wheel and no bundle has it.
 
 | package | version | licence | for |
 | --- | --- | --- | --- |

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator
 
 STREAMS = (1, 2)  # standard output and standard error
-KEPT = 1 << 16  # bytes, of a pipe: what does not fit is lost, so that a damaged log cannot fill memory or disk
+MAX_BYTES = 1 << 16  # bytes, of a pipe: what does not fit is lost, so that a damaged log cannot fill memory or disk
 
 
 class LibraryOutput:
@@ -76,6 +76,6 @@ def _flush() -> None:
 
 def _rest(reader: int) -> bytes:
     try:
-        return os.read(reader, KEPT)
+        return os.read(reader, MAX_BYTES)
     except BlockingIOError:
         return b""

@@ -1,4 +1,4 @@
-"""Exit 0 where the installed torch is a build that needs NVIDIA's libraries, 1 where it is one for the processor alone."""
+"""Exit 0 where the installed torch needs NVIDIA's libraries, 1 where it is a build for the processor alone."""
 
 import sys
 from importlib import metadata

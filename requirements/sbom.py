@@ -25,7 +25,11 @@ FORMAT, VERSION = "CycloneDX", "1.6"
 NAME = re.compile(r"[A-Za-z0-9._-]+")
 LICENCE_ID = re.compile(r"[A-Za-z0-9.+-]+")
 # Code of others in the wheel itself: (name, package that it comes from, licence).
-CARRIED = (("hpipm", "casadi", "BSD-2-Clause"), ("blasfeo", "casadi", "BSD-2-Clause"), ("mavlink-messages", "pymavlink", "MIT"))
+CARRIED = (
+    ("hpipm", "casadi", "BSD-2-Clause"),
+    ("blasfeo", "casadi", "BSD-2-Clause"),
+    ("mavlink-messages", "pymavlink", "MIT"),
+)
 
 
 def main() -> None:
@@ -71,14 +75,14 @@ def bill(wheels: Iterable[Path]) -> dict[str, Any]:
 
 def closure(requirements: Iterable[str], entries: dict[str, Locked]) -> set[str]:
     """Names of the locked packages that requirements bring, by the metadata of what is installed."""
-    found: set[str] = set()
+    reached: set[str] = set()
     waiting = list(names_in(requirements))
     while waiting:
         name = waiting.pop()
-        if name in entries and name not in found:
-            found.add(name)
+        if name in entries and name not in reached:
+            reached.add(name)
             waiting += names_in(_requirements(name))
-    return found
+    return reached
 
 
 def names_in(requirements: Iterable[str]) -> Iterator[str]:
@@ -110,8 +114,9 @@ def _component(item: Locked, scope: str) -> dict[str, Any]:
 def _carried(name: str, package: str, licence: str, entries: dict[str, Locked]) -> dict[str, Any]:
     item = entries[package]
     return {
-        "type": "library", "bom-ref": f"{_reference(item)}#{name}", "name": name, "version": f"{package}-{item.version}",
-        "scope": "required", "description": f"carried in the wheel, as {package} {item.version} has it",
+        "type": "library", "bom-ref": f"{_reference(item)}#{name}", "name": name,
+        "version": f"{package}-{item.version}", "scope": "required",
+        "description": f"carried in the wheel, as {package} {item.version} has it",
         **_licences(licence),
     }  # fmt: skip
 

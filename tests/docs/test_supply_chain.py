@@ -33,8 +33,8 @@ def canonical(name: str) -> str:
 def entries(lock: str) -> dict[str, tuple[str, list[str]]]:
     """Version and hashes by name."""
     text = (FOLDER / f"{lock}.lock").read_text()
-    found = re.findall(r"^(\S+)==(\S+)((?:.*\\\n)(?: +--hash=\S+.*\n)+)", text, re.MULTILINE)
-    return {name: (version, re.findall(r"--hash=sha256:([0-9a-f]{64})\b", rest)) for name, version, rest in found}
+    pairs = re.findall(r"^(\S+)==(\S+)((?:.*\\\n)(?: +--hash=\S+.*\n)+)", text, re.MULTILINE)
+    return {name: (version, re.findall(r"--hash=sha256:([0-9a-f]{64})\b", rest)) for name, version, rest in pairs}
 
 
 CONSTRAINTS = {
@@ -46,30 +46,35 @@ CONSTRAINTS = {
 @pytest.mark.parametrize("lock", [*EXTRAS, "torch", "cuda"])
 def test_every_locked_version_has_hashes_and_is_that_of_the_constraints(lock: str) -> None:
     locked = entries(lock)
-    assert len(locked) == sum("==" in line for line in (FOLDER / f"{lock}.lock").read_text().splitlines() if line[0] != "#")
+    assert len(locked) == sum(
+        "==" in line for line in (FOLDER / f"{lock}.lock").read_text().splitlines() if line[0] != "#"
+    )
     assert all(hashes for _, hashes in locked.values())
-    wrong = {name: version for name, (version, _) in locked.items() if CONSTRAINTS.get(canonical(name), version) != version}
+    wrong = {
+        name: version for name, (version, _) in locked.items() if CONSTRAINTS.get(canonical(name), version) != version
+    }
     assert wrong == {}
 
 
 @pytest.mark.parametrize("lock", list(EXTRAS))
 def test_what_is_required_is_locked(lock: str) -> None:
     """With `--no-deps` pip would not notice that something is missing."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    tables = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = tables["project"]
     waiting = [*project["dependencies"], *(text for e in EXTRAS[lock] for text in project["optional-dependencies"][e])]
-    waiting += [text for text in tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]]
-    there, seen = {canonical(name) for name in entries(lock)} | {TORCH}, set[str]()
+    waiting += tables["build-system"]["requires"]
+    there, visited = {canonical(name) for name in entries(lock)} | {TORCH}, set[str]()
     while waiting:
         text = waiting.pop()
         name, extras = re.match(r"([\w.-]+)\s*(?:\[([^\]]*)\])?", text).groups()  # type: ignore[union-attr]
-        if (key := canonical(name)) in seen or not _is_for_here(text):
+        if (key := canonical(name)) in visited or not _is_for_here(text):
             continue
-        seen.add(key)
+        visited.add(key)
         assert key in there, f"{text} is not in {lock}.lock: run make licences"
-        wanted = {extra.strip() for extra in (extras or "").split(",")}
+        chosen = {extra.strip() for extra in (extras or "").split(",")}
         for required in metadata.requires(name) or []:
             of_extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", required)
-            if of_extra is None or of_extra[1] in wanted:
+            if of_extra is None or of_extra[1] in chosen:
                 waiting.append(required)
 
 

@@ -52,7 +52,10 @@ def main() -> None:
             number += 1
             marker.write_text(str(number))
             total = sum(executions.values())
-            print(f"round {number - 1}: {total} executions, {sum(places.values())} finds of {len(places)} places", flush=True)
+            print(
+                f"round {number - 1}: {total} executions, {sum(places.values())} finds of {len(places)} places",
+                flush=True,
+            )
     for target, count in sorted(executions.items()):
         print(f"{count:>10} {target}")
     sys.exit(bool(places))
@@ -77,11 +80,11 @@ def _keep(group: str, find: Find, out: Path) -> None:
         return
     print(f"    python -m tests.fuzz --target {group}:{find.target} --number {find.number}", flush=True)
     target = targets_of(group)[find.target]
-    kept = out / find.target / find.number
-    shutil.rmtree(kept, ignore_errors=True)
-    kept.mkdir(parents=True)
+    place = out / find.target / find.number
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as folder:
-        path = target.assemble(made(target, target.seeds(Path(folder)), int(find.number)), kept)
+        path = target.assemble(made(target, target.seeds(Path(folder)), int(find.number)), place)
     print(f"    {path}", flush=True)
 
 
@@ -90,9 +93,9 @@ def _programs(folder: Path) -> dict[str, tuple[Path, bytes]]:
         print(f"kernels are left out: {reason}")
         return {}
     programs = {}
-    for place, (name, make) in enumerate({**PROGRAMS, **LARGER}.items()):
-        (folder / str(place)).mkdir()
-        programs[name] = make(folder / str(place))
+    for order, (name, make) in enumerate({**PROGRAMS, **LARGER}.items()):
+        (folder / str(order)).mkdir()
+        programs[name] = make(folder / str(order))
     return programs
 
 

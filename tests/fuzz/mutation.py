@@ -13,8 +13,9 @@ NUMBERS = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x8000
 FLOATS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 5e-324, -0.0)
 WORDS = (
     b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"1e-320", b"0", b"-1", b"9" * 5000, b"9" * 25, b"0x1", b"1_000",
-    b"null", b"true", b'""', b"''", b"{}", b"[]", b"[" * 5000, b'{"a":' * 3000, b"\xff\xfe", b"\x80", b"\0", b"\xef\xbb\xbf",
-    b"\x1b[31m", b"\r", b"\n", b"\n\n", b",", b";", b"\t", b'"', b"'", b'"""', b"#", b"=", b".", b"..", b"../../x", b"/etc/passwd",
+    b"null", b"true", b'""', b"''", b"{}", b"[]", b"[" * 5000, b'{"a":' * 3000, b"\xff\xfe", b"\x80", b"\0",
+    b"\xef\xbb\xbf", b"\x1b[31m", b"\r", b"\n", b"\n\n", b",", b";", b"\t", b'"', b"'", b'"""', b"#", b"=", b".", b"..",
+    b"../../x", b"/etc/passwd",
     b"a." * 3000 + b"a", b"0000-99-99", b"1979-05-27T07:32:00Z", b"\\ud800", b"\\u0000", b"%s%n", b"A" * 70_000,
     "−1".encode(), "é".encode(), "\U0001f600".encode(),
 )  # fmt: skip
@@ -31,7 +32,7 @@ def mutated(parts: Parts, rng: random.Random, *, others: Sequence[Parts] = ()) -
         donor = rng.choice(others).get(name, b"") if others else b""
         data = result[name]
         for _ in range(rng.choice((1, 1, 2, 3, 8))):
-            data = rng.choice(CHANGES_OF_TEXT if _is_text(data) else CHANGES)(data, rng, donor)[:MAX_BYTES]
+            data = rng.choice(TEXT_MUTATIONS if _is_text(data) else MUTATIONS)(data, rng, donor)[:MAX_BYTES]
         result[name] = data
     return result
 
@@ -128,7 +129,7 @@ def _word(data: bytes, rng: random.Random, _: bytes) -> bytes:
 
 def _token(data: bytes, rng: random.Random, _: bytes) -> bytes:
     """Replace what stands between two separators, as a value of a table or a cell."""
-    marks = [i for i, byte in enumerate(data[:20_000]) if byte in b",;= \n\t:[]{}\""]
+    marks = [i for i, byte in enumerate(data[:20_000]) if byte in b',;= \n\t:[]{}"']
     if len(marks) < 2:
         return _word(data, rng, b"")
     place = rng.randrange(len(marks) - 1)
@@ -152,11 +153,11 @@ def _line(data: bytes, rng: random.Random, donor: bytes) -> bytes:
 
 
 Change = Callable[[bytes, random.Random, bytes], bytes]
-CHANGES: tuple[Change, ...] = (
-    _flip_bit, _set_byte, _early_byte, _early_byte, _overwrite_number, _overwrite_number, _overwrite_float, _delete, _repeat,
-    _insert, _cut, _zero, _splice, _swap, _word,
+MUTATIONS: tuple[Change, ...] = (
+    _flip_bit, _set_byte, _early_byte, _early_byte, _overwrite_number, _overwrite_number, _overwrite_float, _delete,
+    _repeat, _insert, _cut, _zero, _splice, _swap, _word,
 )  # fmt: skip
-CHANGES_OF_TEXT: tuple[Change, ...] = (
-    _flip_bit, _set_byte, _delete, _repeat, _insert, _cut, _splice, _swap, _word, _word, _token, _token, _token, _token, _line,
-    _line,
+TEXT_MUTATIONS: tuple[Change, ...] = (
+    _flip_bit, _set_byte, _delete, _repeat, _insert, _cut, _splice, _swap, _word, _word, _token, _token, _token,
+    _token, _line, _line,
 )  # fmt: skip

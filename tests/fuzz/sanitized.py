@@ -85,10 +85,10 @@ def _program(folder: Path, sources: Mapping[str, str], flags: Sequence[str], ent
         (folder / name).write_text(text)
     shutil.copy(HERE / "kernel_driver.c", folder)
     hpipm = find_hpipm()
-    kept = [flag for flag in flags if not flag.startswith(("-O", "-shared", "-fPIC"))]
+    others = [flag for flag in flags if not flag.startswith(("-O", "-shared", "-fPIC"))]
     defines = [f'-DKERNEL="{entry}"', f"-DLEARNED={int(learned)}"]
     libraries = [*hpipm.linker_flags, f"-Wl,-rpath-link,{hpipm.hpipm.parent}", "-lm"]
-    return compiled(folder, "kernel_driver.c", (*kept, *defines, *hpipm.compiler_flags), libraries)
+    return compiled(folder, "kernel_driver.c", (*others, *defines, *hpipm.compiler_flags), libraries)
 
 
 def compiled(folder: Path, source: str, flags: Sequence[str], libraries: Sequence[str]) -> Path:

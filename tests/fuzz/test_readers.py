@@ -12,7 +12,8 @@ from tests.fuzz.targets import GROUPS
 FIRST = 0  # the round of CI, the same one every time
 # A seed that is refused is one for what is behind the refusal: a foreign format, or effects that nobody approved.
 REFUSED = {
-    "csv": "semicolons", "betaflight": "not read directly", "bundle_edited": "digest does not fit", "vehicle": "approved",
+    "csv": "semicolons", "betaflight": "not read directly", "bundle_edited": "digest does not fit",
+    "vehicle": "approved",
 }  # fmt: skip
 
 
@@ -34,6 +35,6 @@ def test_seeds_are_read(group: str) -> None:
     refused = [text for text in campaign.seeds_refused if REFUSED.get(text.split()[0], "\0") not in text]
     assert refused == []
     assert all(campaign.executions[name] for name in plan)
-    most = Counter(text.split()[0] for text in campaign.seeds_refused)
-    only = {name for name, count in most.items() if count == campaign.executions[name]}
+    refusals = Counter(text.split()[0] for text in campaign.seeds_refused)
+    only = {name for name, count in refusals.items() if count == campaign.executions[name]}
     assert only <= {"betaflight", "bundle_edited"}

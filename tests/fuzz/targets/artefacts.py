@@ -22,6 +22,7 @@ from dynamics.vehicle_file import read_vehicle, vehicle_toml
 from runtime.control.bundle import (
     FORMAT,
     KERNEL,
+    LAST_LAYER,
     MANIFEST,
     TICKS,
     VEHICLE,
@@ -56,7 +57,7 @@ from vehicles import FOLDER
 VEHICLE_FILE = FOLDER / "arpl_250g.toml"
 
 
-# --- archives: whole members that are mutated inside, as well as the archive's own bytes -----------------------------
+# --- archives: whole members that are mutated inside, as well as the archive's own bytes
 
 
 def _members(path: Path) -> Parts:
@@ -72,7 +73,7 @@ def _zip(name: str, parts: Parts, folder: Path) -> Path:
     return folder / name
 
 
-# --- checkpoints -------------------------------------------------------------------------------------------------------
+# --- checkpoints
 
 
 def _checkpoint(folder: Path) -> Path:
@@ -81,7 +82,7 @@ def _checkpoint(folder: Path) -> Path:
     return folder / "m.pt"
 
 
-# --- bundles: without code that could be loaded, which a bundle's libraries are ------------------------------------------
+# --- bundles: without code that could be loaded, which a bundle's libraries are
 
 
 def _bundle(_: Path) -> list[Parts]:
@@ -135,7 +136,7 @@ def _features() -> bytes:
     return last_layer_file(np.eye(5), body=True)
 
 
-# --- cases -------------------------------------------------------------------------------------------------------------
+# --- cases
 
 
 def _case_archive(folder: Path) -> Path:
@@ -168,7 +169,7 @@ def _open_case(path: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# --- recordings ----------------------------------------------------------------------------------------------------------
+# --- recordings
 
 
 def _replay(path: Path) -> None:
@@ -179,7 +180,7 @@ def _replay(path: Path) -> None:
         replay(recording, *recorded_flight(recording, None, None))
 
 
-# --- results of studies --------------------------------------------------------------------------------------------------
+# --- results of studies
 
 
 def _folder_of(made: Callable[[Path], Path]) -> Callable[[Path], list[Parts]]:
@@ -220,8 +221,8 @@ TARGETS = (
     Target("bundle_edited", _bundle, whole_manifest, files_in_folder),
     Target("ticks", _npz(TICKS, _ticks), read_ticks),
     Target("ticks_members", _inside(_ticks), read_ticks, partial(_zip, TICKS)),
-    Target("last_layer", _npz("last_layer.npz", _features), lambda path: read_features(path, 3)),
-    Target("last_layer_members", _inside(_features), lambda path: read_features(path, 3), partial(_zip, "last_layer.npz")),
+    Target("last_layer", _npz(LAST_LAYER, _features), lambda path: read_features(path, 3)),
+    Target("last_layer_members", _inside(_features), lambda path: read_features(path, 3), partial(_zip, LAST_LAYER)),
     Target("case_archive", _file_of(_case_archive), _open_case),
     Target(
         "case_members", lambda folder: [_members(_case_archive(folder))], _open_case, partial(_zip, "case.alula.zip")

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -69,16 +70,20 @@ def _ulog(_: Path) -> list[Parts]:
     topics = [
         Topic("vehicle_attitude", {"timestamp": stamps, "timestamp_sample": stamps, "q": quaternions}),
         Topic("vehicle_angular_velocity", {"timestamp": stamps, "timestamp_sample": stamps, "xyz": quaternions[:, :3]}),
-        Topic("sensor_combined", {"timestamp": stamps, "gyro_rad": quaternions[:, :3], "accelerometer_m_s2": quaternions[:, :3]}),
+        Topic("sensor_combined", {
+            "timestamp": stamps, "gyro_rad": quaternions[:, :3], "accelerometer_m_s2": quaternions[:, :3],
+        }),
         Topic("actuator_motors", {"timestamp": stamps, "control": np.full((12, 12), 0.5, np.float32)}),
         Topic("esc_status", {"timestamp": stamps, "esc_rpm": np.full((12, 4), 9000, np.int32)}),
         Topic("vehicle_local_position", {
-            "timestamp": stamps, **{name: np.zeros(12, np.float32) for name in ("x", "y", "z", "vx", "vy", "vz", "heading")},
+            "timestamp": stamps,
+            **{name: np.zeros(12, np.float32) for name in ("x", "y", "z", "vx", "vy", "vz", "heading")},
             **{name: np.ones(12, np.uint8) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")},
         }),
         Topic("vehicle_visual_odometry", {
             "timestamp": stamps, "timestamp_sample": stamps, "position": quaternions[:, :3], "q": quaternions,
-            "velocity": quaternions[:, :3], "pose_frame": np.ones(12, np.uint8), "velocity_frame": np.ones(12, np.uint8),
+            "velocity": quaternions[:, :3],
+            **{name: np.ones(12, np.uint8) for name in ("pose_frame", "velocity_frame")},
         }),
         Topic("battery_status", {"timestamp": stamps, "voltage_v": np.full(12, 11.1, np.float32)}),
     ]  # fmt: skip
@@ -112,12 +117,7 @@ def _mapped(_: Path) -> list[Parts]:
 
 
 def _parquet(folder: Path) -> list[Parts]:
-    import pandas
-
-    from flights.tables import TIME
-
     table = pandas.read_csv(flight_csv(TRUTH, folder / "flight.csv"))
-    assert TIME in table
     table.to_parquet(folder / "flight.parquet")
     return _one("flight.parquet", (folder / "flight.parquet").read_bytes())
 
@@ -131,7 +131,9 @@ def _crazyflie(_: Path) -> list[Parts]:
 
 
 def _betaflight(_: Path) -> list[Parts]:
-    return _one("LOG00001.BFL", b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n" + bytes(99))
+    return _one(
+        "LOG00001.BFL", b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n" + bytes(99)
+    )
 
 
 def _tlog(_: Path) -> list[Parts]:

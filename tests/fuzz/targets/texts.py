@@ -1,4 +1,4 @@
-"""Texts that people write: vehicle files, thresholds, mappings, scenarios, references, and options of a command line."""
+"""Texts that people write: vehicle files, thresholds, mappings, scenarios, references, options of a command line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import tomli_w
 
 from diagnosis.thresholds import Thresholds
 from diagnosis.thresholds_file import read_thresholds
 from dynamics.effect_source import effect_file, read_effect_file
 from dynamics.references.table import read_table
+from dynamics.vehicle import Vehicle
 from dynamics.vehicle_editing import edited_toml
 from dynamics.vehicle_file import parse_effect, read_vehicle, vehicle_name, vehicle_toml, with_settings
 from dynamics.vehicle_folder import vehicle_files_in
@@ -52,7 +54,7 @@ def _vehicle(path: Path) -> None:
     assert vehicle_toml(again) == vehicle_toml(vehicle)
 
 
-def _heavier(vehicle: msgspec.Struct) -> object:
+def _heavier(vehicle: Vehicle) -> Vehicle:
     return msgspec.structs.replace(vehicle, body=msgspec.structs.replace(vehicle.body, mass=1.01 * vehicle.body.mass))
 
 
@@ -60,13 +62,10 @@ def _vehicles(_: Path) -> list[Parts]:
     carried = effect_file("my_effects.py", "# nothing\n")
     with_text = msgspec.structs.replace(VEHICLE, effect_files=(carried,))
     texts = [path.read_bytes() for path in sorted(FOLDER.glob("*.toml"))] + [vehicle_toml(with_text).encode()]
-    effects = b'\n[[effects]]\nname = "motor_lag"\nparameters = { time_constant = 0.03 }\n[[effects]]\nname = "weak_rotor"\nrotor = 1\n'
-    return [{"vehicle.toml": text} for text in (*texts, texts[0] + effects)]
+    return [{"vehicle.toml": text} for text in (*texts, texts[0] + USES)]
 
 
 def _thresholds(_: Path) -> list[Parts]:
-    import tomli_w
-
     return [{"thresholds.toml": tomli_w.dumps(msgspec.to_builtins(Thresholds())).encode()}]
 
 
@@ -89,6 +88,18 @@ def _effect(text: str) -> None:
         parse_effect(word, VEHICLE.rotors.count)
 
 
+def _settings(text: str) -> None:
+    with_settings(VEHICLE, text.split("\n"))
+
+
+USES = b"""
+[[effects]]
+name = "motor_lag"
+parameters = { time_constant = 0.03 }
+[[effects]]
+name = "weak_rotor"
+rotor = 1
+"""
 EFFECTS = b"motor_lag:time_constant=0.03\nrotor_drag\nweak_rotor:loss=0.1,rotor=1\nwind:x=1,y=2\nslung_load:mass=0.05"
 SETTINGS = b"controller.horizon=0.8\ncontroller.nodes=20\ncontroller.position_weight=[1.0, 2, 3]\ncontroller.rate=100"
 OWN_EFFECTS = Path(__file__).parents[3] / "examples" / "my_effects.py"
@@ -101,8 +112,6 @@ TARGETS = (
     Target("scenario", lambda _: [{"scenario.toml": SCENARIO}], lambda path: read_scenario(path, 4)),
     Target("reference", _references, lambda path: read_table(path, VEHICLE)),
     Target("effect_option", lambda _: [{"effects": EFFECTS}], _text(_effect)),
-    Target(
-        "setting_option", lambda _: [{"settings": SETTINGS}], _text(lambda text: with_settings(VEHICLE, text.split("\n")))
-    ),
+    Target("setting_option", lambda _: [{"settings": SETTINGS}], _text(_settings)),
     Target("effect_file", lambda _: [{"my_effects.py": OWN_EFFECTS.read_bytes()}], read_effect_file),
 )

@@ -23,9 +23,7 @@ def _stream(_: Path) -> list[Parts]:
         mavlink.MAVLink_param_value_message(b"MPC_THR_HOVER", 0.5, 9, 1, 0),
         mavlink.MAVLink_command_ack_message(400, 0),
     ]  # fmt: skip
-    streams = [
-        b"".join(bytes(message.pack(link)) for message in messages) for link in (unsigned, signed)
-    ]
+    streams = [b"".join(bytes(message.pack(link)) for message in messages) for link in (unsigned, signed)]
     streams.append(b"".join(bytes(message.pack(unsigned, force_mavlink1=True)) for message in messages[:1]) * 5)
     return [{"stream": stream} for stream in (*streams, b"".join(streams))]
 
