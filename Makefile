@@ -11,15 +11,13 @@
 # make fuzz   mutated inputs of every reader and calls of the kernels, for hours, with rising seeds; finds go to build/fuzz
 # make licences  the locks and the licence page anew, after a change of pyproject.toml or constraints.txt; needs uv
 # Everything is installed into .venv at the versions of constraints.txt, for demo, test and lint file by file with the
-# hashes of requirements/; nothing but Python 3.11+, a C compiler and make is needed beforehand.
+# hashes of requirements/, torch aside; nothing but Python 3.11+, a C compiler and make is needed beforehand.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCKED := $(PIP) --require-hashes --no-deps --requirement
 RECIPE := pyproject.toml constraints.txt $(wildcard requirements/*.lock)
-# another build of torch than the locked ones: make TORCH=torch==2.13.0 demo, which checks no hash of it
-TORCH ?= --require-hashes --no-deps --requirement requirements/torch.lock
 HOURS ?= 8
 UV ?= uv
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
@@ -79,8 +77,7 @@ $(STUDIES): .venv/workbench.stamp
 
 .venv/workbench.stamp: .venv/python.stamp $(RECIPE)
 	$(LOCKED) requirements/workbench.lock
-	$(PIP) $(TORCH)
-	! $(BIN)/python requirements/needs_cuda.py || $(LOCKED) requirements/cuda.lock
+	$(PIP) --constraint constraints.txt torch==2.13.0
 	$(PIP) --no-deps --no-build-isolation --editable .
 	touch $@
 

@@ -23,13 +23,13 @@ Python 3.11 to 3.13 on every platform that Alula runs on; versions are those of 
 | --- | --- |
 | `workbench.lock` | `make demo`, and all other targets that fly, train and diagnose |
 | `development.lock` | `make test`, `make lint`, `make fuzz`: the same and what tests and checks need |
-| `torch.lock` | torch: PyPI's builds, and the build without CUDA that CI installs |
-| `cuda.lock` | NVIDIA's libraries, only for a torch that asks for them |
 
 Outside of the locks are:
 
-- **Another build of torch** than these, of which there are dozens on the PyTorch project's own index:
-  `make TORCH=torch==2.13.0 demo` takes whichever your pip finds, by its version alone.
+- **torch**, and the CUDA libraries that its build on PyPI requires: pinned by version alone. There are builds with and
+  without CUDA on several indexes, and any will do. In pip's hash mode a file that an index lists with its hash comes before
+  one that a folder holds: tried with the hashes of both in one lock, it took PyPI's build, with gigabytes of CUDA, on a
+  machine that has the small one at hand.
 - **`make docs`**, whose packages are pinned by version in `constraints.txt`, and `pip install alula` into an
   environment of your own, which pip resolves by the ranges in `pyproject.toml`.
 - **The wheel's own build** by `pip wheel`, which fetches setuptools and pymavlink by the ranges in `pyproject.toml`; in
@@ -51,19 +51,18 @@ simulator that the tests alone compare with; no wheel and no bundle has it.
 | package | version | licence | for |
 | --- | --- | --- | --- |
 """
-WORDS = {"NOASSERTION": "see the package"}  # not installed where the page is made
 
 
 def page() -> str:
     """The page's text."""
     sys.path.insert(0, str(ROOT / "requirements"))
-    from licences import locked
+    from licences import locked, torch
 
     workbench = {item.name for item in locked("workbench")}
     rows = [(item, "workbench" if item.name in workbench else "tests and checks") for item in locked("development")]
-    rows += [(item, "workbench") for item in locked("torch")] + [(item, "torch with CUDA") for item in locked("cuda")]
+    rows.append((torch(), "workbench"))
     lines = [
-        f"| {item.name} | {item.version} | {WORDS.get(item.licence, item.licence)} | {use} |\n"
+        f"| {item.name} | {item.version} | {item.licence} | {use} |\n"
         for item, use in sorted(rows, key=lambda row: row[0].name)
     ]
     return HEAD + "".join(lines)

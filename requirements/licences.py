@@ -53,6 +53,14 @@ def locked(name: str) -> tuple[Locked, ...]:
     return tuple(Locked(package, version, marker, licence_of(package)) for package, version, marker in entries)
 
 
+def torch() -> Locked:
+    """torch, which no lock has: the version that constraints.txt pins."""
+    text = (HERE.parent / "constraints.txt").read_text(encoding="utf-8")
+    match = re.search(r"^torch==(\S+)$", text, re.MULTILINE)
+    assert match is not None
+    return Locked("torch", match[1], "", licence_of("torch"))
+
+
 def canonical(name: str) -> str:
     """A package's name as indexes normalise it (PEP 503)."""
     return re.sub(r"[-_.]+", "-", name).lower()

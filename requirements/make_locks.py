@@ -4,7 +4,7 @@
 
 uv resolves for all platforms and Python versions at once (`pip install uv` into any environment; nothing else here
 needs it). Names and versions come from pyproject.toml and constraints.txt: change these, then run this. torch and the
-CUDA libraries that its build on PyPI brings have files of their own, since only some builds need the latter.
+CUDA libraries that one of its builds brings are left out.
 """
 
 from __future__ import annotations
@@ -18,14 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 EXTRAS = {"workbench": ("workbench",), "development": ("workbench", "test", "lint")}
-TORCH = "torch"
-CUDA = re.compile(r"(nvidia-|cuda-|triton==)")
-# Builds for the processor alone, which PyPI does not hold: their files are those of the PyTorch project's own index.
-CPU_BUILDS = {
-    "torch-2.13.0+cpu-cp311-cp311-manylinux_2_28_x86_64.whl": (
-        "6746dbcbeb526eb61330b76b41ff1b4eb848951103a892eeb080dfa2b264667b"
-    ),
-}
+OUTSIDE = re.compile(r"(torch==|triton==|nvidia-|cuda-)")  # see docs/supply_chain.md
 HEAD = "# Written by requirements/make_locks.py from pyproject.toml and constraints.txt; see docs/supply_chain.md.\n"
 
 
@@ -37,12 +30,8 @@ def main() -> None:
     arguments = parser.parse_args()
     for name, extras in EXTRAS.items():
         entries = resolved(arguments.uv, arguments.index, extras)
-        plain = [entry for entry in entries if not CUDA.match(entry) and not entry.startswith(f"{TORCH}==")]
-        (HERE / f"{name}.lock").write_text(HEAD + "".join(plain))
-        torch = next(entry for entry in entries if entry.startswith(f"{TORCH}=="))
-        added = "".join(f" \\\n    --hash=sha256:{digest}" for digest in CPU_BUILDS.values())
-        (HERE / "torch.lock").write_text(HEAD + torch.rstrip("\n") + added + "\n")
-        (HERE / "cuda.lock").write_text(HEAD + "".join(entry for entry in entries if CUDA.match(entry)))
+        text = "".join(entry for entry in entries if not OUTSIDE.match(entry))
+        (HERE / f"{name}.lock").write_text(HEAD + text, encoding="utf-8")
 
 
 def resolved(uv: str, index: str, extras: tuple[str, ...]) -> list[str]:

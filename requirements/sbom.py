@@ -19,7 +19,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from licences import HERE, UNKNOWN, Locked, canonical, licence_of, locked
+from licences import HERE, UNKNOWN, Locked, canonical, licence_of, locked, torch
 
 FORMAT, VERSION = "CycloneDX", "1.6"
 NAME = re.compile(r"[A-Za-z0-9._-]+")
@@ -50,7 +50,7 @@ def project() -> dict[str, Any]:
 def bill(wheels: Iterable[Path]) -> dict[str, Any]:
     """The bill of materials of these wheels."""
     about = project()
-    entries = {canonical(item.name): item for item in (*locked("workbench"), *locked("torch"))}
+    entries = {canonical(item.name): item for item in (*locked("workbench"), torch())}
     required = closure(about["dependencies"], entries)
     own = f"pkg:pypi/alula@{about['version']}"
     components = [_component(entries[name], "required" if name in required else "optional") for name in sorted(entries)]
