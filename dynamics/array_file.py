@@ -26,7 +26,7 @@ def read_arrays(path: Path, *, advice: str) -> dict[str, Floats]:
     Raises RequestError for a file that cannot be read, or holds anything but numbers.
     """
     try:
-        with np.load(path) as content:
+        with path.open("rb") as file, np.load(file) as content:  # which would leave a damaged one open
             arrays = {name: np.asarray(content[name]) for name in content.files}
             if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "biuf"]:
                 raise ValueError(f"{wrong[0]} holds no numbers")
