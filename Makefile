@@ -8,17 +8,22 @@
 # make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
 # make wheel  wheels for the flight computer, with compiled controllers of the bundled vehicles: dist/
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
-# Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
-# make is needed beforehand.
+# make fuzz   mutated inputs of every reader and calls of the kernels, for hours, with rising seeds; finds go to build/fuzz
+# make licences  the locks and the licence page anew, after a change of pyproject.toml or constraints.txt; needs uv
+# Everything is installed into .venv at the versions of constraints.txt, for demo, test and lint file by file with the
+# hashes of requirements/, torch aside; nothing but Python 3.11+, a C compiler and make is needed beforehand.
 
 PYTHON ?= python3
 BIN := .venv/bin
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
-RECIPE := pyproject.toml constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LOCKED := $(PIP) --require-hashes --no-deps --requirement
+RECIPE := pyproject.toml constraints.txt $(wildcard requirements/*.lock)
+HOURS ?= 8
+UV ?= uv
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test lint docs study study-public wheel conformance clean $(STUDIES)
+.PHONY: demo hour test lint docs study study-public wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -53,6 +58,14 @@ conformance: .venv/development.stamp
 
 wheel: .venv/workbench.stamp
 	bash .ci/wheels dist $(MACHINES)
+	$(BIN)/python requirements/sbom.py dist
+
+fuzz: .venv/development.stamp
+	$(BIN)/python -m tests.fuzz --hours $(HOURS)
+
+licences: .venv/development.stamp
+	$(BIN)/python requirements/make_locks.py --uv $(UV)
+	$(BIN)/python docs/make_licences.py
 
 $(STUDIES): .venv/workbench.stamp
 	$(BIN)/python -m $(subst /,.,$(basename $@))
@@ -63,16 +76,17 @@ $(STUDIES): .venv/workbench.stamp
 	touch $@
 
 .venv/workbench.stamp: .venv/python.stamp $(RECIPE)
-	$(INSTALL) torch==2.13.0
-	$(INSTALL) --editable '.[workbench]'
+	$(LOCKED) requirements/workbench.lock
+	$(PIP) --constraint constraints.txt torch==2.13.0
+	$(PIP) --no-deps --no-build-isolation --editable .
 	touch $@
 
 .venv/development.stamp: .venv/workbench.stamp
-	$(INSTALL) --editable '.[workbench,test,lint]'
+	$(LOCKED) requirements/development.lock
 	touch $@
 
 .venv/docs.stamp: .venv/python.stamp $(RECIPE)
-	$(INSTALL) --editable '.[docs]'
+	$(PIP) --constraint constraints.txt --editable '.[docs]'
 	touch $@
 
 clean:

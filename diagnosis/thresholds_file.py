@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from diagnosis.thresholds import Thresholds
+from dynamics.decoding import parse_toml
 from dynamics.errors import RequestError
 
 
@@ -17,7 +18,7 @@ def read_thresholds(path: str | Path) -> Thresholds:
     Raises RequestError for a file that cannot be read, an unknown name, or a value out of range, with the range.
     """
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        table = parse_toml(Path(path).read_text(encoding="utf-8"))
         return msgspec.convert(table, Thresholds)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise RequestError(

@@ -13,6 +13,7 @@ from typing import Literal
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.own_folder import configuration_folder, locked, make_own_folder, read_own, replace_own
 
@@ -48,7 +49,7 @@ def read_approvals() -> tuple[Approval, ...]:
     if content is None:
         return ()
     try:
-        return msgspec.json.decode(content, type=tuple[Approval, ...])
+        return decode_json(content, tuple[Approval, ...])
     except msgspec.MsgspecError as error:
         raise _unusable(path, f"it is damaged: {error}") from None
 

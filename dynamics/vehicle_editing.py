@@ -11,6 +11,7 @@ import msgspec
 import tomlkit
 from tomlkit.items import AoT, Array, InlineTable
 
+from dynamics.decoding import editable_toml
 from dynamics.effect import Effect
 from dynamics.effect_source import KEY, EffectFile, entries_of, read_effect_file_below
 from dynamics.effects import CATALOGUE
@@ -35,7 +36,7 @@ def edited_toml(
     folder = (folder or Path()).resolve()
     old = parse_vehicle(with_effect_files(text, folder), catalogue=catalogue)
     vehicle = _in_order_of(old, vehicle)
-    document = tomlkit.parse(text)
+    document = editable_toml(text)
     _change(document, _table(old), _table(vehicle))
     _set_effect_files(document, vehicle, folder)
     edited = tomlkit.dumps(document)

@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 import tomli_w
 import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
 from dynamics.controller_defaults import lookaheads
 from dynamics.controller_settings import ControllerSettings
+from dynamics.decoding import editable_toml, parse_toml
 from dynamics.effect import Effect
 from dynamics.effect_file import with_effects_of
 from dynamics.effect_source import (
@@ -87,7 +87,7 @@ def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ())
     Raises RequestError for a file that lies elsewhere or is no plain Python text. Nothing runs.
     """
     try:
-        table = tomllib.loads(text)
+        table = parse_toml(text)
     except tomllib.TOMLDecodeError:
         return text  # `parse_vehicle` says where
     entries = entries_of(table)
@@ -103,8 +103,8 @@ def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ())
 def with_texts(text: str, files: Sequence[EffectFile]) -> str:
     """The text of a vehicle file with these effect files in place of its own. Raises RequestError for no TOML."""
     try:
-        document = tomlkit.parse(text)
-    except TOMLKitError as error:
+        document = editable_toml(text)
+    except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}.") from None
     if document.pop(KEY, None) is None and not files:
         return text
@@ -127,7 +127,7 @@ def effect_files_in(text: str) -> tuple[EffectFile, ...]:
 def effect_entries(text: str) -> list[Any]:
     """What a vehicle file has under `effect_files`: names, and tables with texts; empty for a text that is no TOML."""
     try:
-        return entries_of(tomllib.loads(text))
+        return entries_of(parse_toml(text))
     except tomllib.TOMLDecodeError:
         return []  # `parse_vehicle` says where
 
@@ -138,8 +138,8 @@ def without_effect_files(text: str) -> tuple[str, tuple[str, ...]]:
     Raises RequestError for a text that is no TOML.
     """
     try:
-        document = tomlkit.parse(text)
-    except tomlkit.exceptions.TOMLKitError as error:
+        document = editable_toml(text)
+    except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}. Give a vehicle file, see vehicles/.") from error
     named = document.pop("effect_files", [])
     return tomlkit.dumps(document), tuple(map(str, named)) if isinstance(named, list) else ()
@@ -148,7 +148,7 @@ def without_effect_files(text: str) -> tuple[str, tuple[str, ...]]:
 def vehicle_name(text: str) -> str:
     """The name in the text of a vehicle file, "unnamed" where there is none; nothing of it is run."""
     try:
-        name = tomllib.loads(text).get("name")
+        name = parse_toml(text).get("name")
     except tomllib.TOMLDecodeError:
         return "unnamed"
     return name if isinstance(name, str) else "unnamed"
@@ -160,7 +160,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     Raises RequestError as `read_vehicle`.
     """
     try:
-        table = tomllib.loads(text)
+        table = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}.") from error
     refuse_unknown_keys(table, Vehicle)
@@ -279,7 +279,7 @@ def with_settings(
         if not equals or section != "controller":
             raise RequestError(f"setting {text!r}: write controller.KEY=VALUE, as in controller.horizon=0.8.")
         try:
-            table[key] = tomllib.loads(f"value = {value}")["value"]
+            table[key] = parse_toml(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
             raise RequestError(
                 f"setting {text!r}: {value!r} is no number, true, false or [x, y, z]; write it as in a vehicle file."

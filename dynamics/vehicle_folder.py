@@ -5,6 +5,8 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+from dynamics.decoding import parse_toml
+
 PARTS_OF_A_VEHICLE = ("body", "rotors")  # tables by which its file is recognised
 
 
@@ -16,7 +18,7 @@ def vehicle_files_in(folder: Path) -> list[Path]:
 def describes_vehicle(path: Path) -> bool:
     """Whether a TOML file has a vehicle's tables, right or wrong."""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
     return all(part in table for part in PARTS_OF_A_VEHICLE)

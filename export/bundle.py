@@ -20,6 +20,7 @@ import tomlkit
 
 from dynamics.approvals import approve
 from dynamics.arrays import Floats
+from dynamics.decoding import editable_toml
 from dynamics.effect_source import KEY
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
@@ -262,7 +263,7 @@ def _vehicle_texts(model: ExportedModel) -> dict[str, str]:
     names = [file.name for file in files]
     if len(set(names)) < len(names):
         raise RequestError(f"two effect files have one name ({', '.join(names)}). Rename one of them.")
-    document = tomlkit.parse(model.vehicle_text)
+    document = editable_toml(model.vehicle_text)
     document.pop(KEY, None)
     document[KEY] = names
     return {VEHICLE: tomlkit.dumps(document)} | {file.name: file.text for file in files}

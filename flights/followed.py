@@ -13,6 +13,7 @@ from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metada
 from mcap.stream_reader import StreamReader
 
 from dynamics.arrays import Floats
+from dynamics.decoding import decode_json
 from dynamics.errors import DataError, RequestError
 from dynamics.mcap_chunks import records_of
 from flights.readers.mcap import MAGIC, TORN
@@ -199,22 +200,22 @@ def _add(content: _Content, topic: str, data: bytes) -> None:
     """Add a message; one that cannot be decoded is left out, as the reader of logs does."""
     try:
         if topic == FOLLOWED:
-            row = msgspec.json.decode(data, type=_Followed)
+            row = decode_json(data, _Followed)
             if len(row.names.split()) == len(row.value) == len(row.deviation):
                 content.rows.append(row)
         elif topic == PHASE:
-            content.phases.append(msgspec.json.decode(data, type=_Timed))
+            content.phases.append(decode_json(data, _Timed))
         elif topic == SETPOINT:
-            content.setpoints.append(msgspec.json.decode(data, type=_Setpoint))
+            content.setpoints.append(decode_json(data, _Setpoint))
         elif topic == OBSERVATION and content.start is None:
-            content.start = msgspec.json.decode(data, type=_Timed).time
+            content.start = decode_json(data, _Timed).time
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return
 
 
 def _mode(metadata: Mapping[str, str]) -> str:
     try:
-        return msgspec.json.decode(metadata.get("controller", "{}"), type=_Controller).adaptation.mode
+        return decode_json(metadata.get("controller", "{}"), _Controller).adaptation.mode
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return ""
 

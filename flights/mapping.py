@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from dynamics.decoding import parse_toml
 from dynamics.errors import RequestError
 from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
@@ -144,7 +145,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def read_mapping(path: Path) -> Mapping:
     """A mapping from its file. Raises RequestError when it cannot be read or is wrong."""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RequestError(f"cannot read the column mapping {path}: {error}. See flights/mappings/.") from None
     try:

@@ -11,6 +11,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
 from dynamics.arrays import Floats
+from dynamics.decoding import decode_json
 from dynamics.files import write_whole
 from flights.log import Origin, Provenance
 from flights.quantities import quantity_of
@@ -58,4 +59,4 @@ def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, pat
 def decode_notes(metadata: Mapping[bytes, bytes] | None) -> Notes | None:
     """The notes in a Parquet schema, None for a file of another program."""
     text = (metadata or {}).get(_KEY)
-    return None if text is None else msgspec.json.decode(text, type=Notes)
+    return None if text is None else decode_json(text, Notes)

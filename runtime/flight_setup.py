@@ -14,6 +14,7 @@ import msgspec
 from dynamics import symbolic
 from dynamics.codegen import has_compiler
 from dynamics.command import command_line
+from dynamics.decoding import decode_json
 from dynamics.effect_source import (
     EffectFile,
     as_carried,
@@ -298,7 +299,7 @@ def recorded_flight(
     replaced = vehicle is not None or bundle is not None
     recorded = _recorded_vehicle(recording, () if replaced else effect_files)
     trim = hovering_vehicle(recorded, _recorded_manifest(recording))
-    duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
+    duration = decode_json(recording.metadata["plan"], Plan).duration
     # the reference is that of the recorded vehicle, whatever vehicle flies it now
     if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
         reference = named_reference(recording.metadata["reference"], trim, duration=duration)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from dynamics.decoding import decode_json
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from runtime.autopilot_parameters import recorded_rate_gains
@@ -96,9 +97,9 @@ def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bund
     missing = [name for name in REQUIRED if name not in metadata]
     if missing:
         raise DataError(f"{recording.path} lacks the settings {', '.join(missing)}: it was not written by `alula fly`.")
-    plan = msgspec.json.decode(metadata["plan"], type=Plan)
-    settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
-    options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
+    plan = decode_json(metadata["plan"], Plan)
+    settings = decode_json(metadata["settings"], FlyerSettings)
+    options = decode_json(metadata["controller"], ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
     controllers = build_controllers(vehicle, bundle, options)
     if (gains := recorded_rate_gains(recording.records(ParameterRecord))) is not None:

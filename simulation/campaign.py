@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from dynamics.command import command_line
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.references.campaign import REAL_WORLD, CampaignFlight, chosen_flights, paper_campaign
@@ -153,7 +154,7 @@ class Campaign:
             if not recipe.exists():
                 recipe.write_bytes(text)
                 return
-            there = msgspec.json.decode(recipe.read_bytes(), type=CampaignRecipe)
+            there = decode_json(recipe.read_bytes(), CampaignRecipe)
         except OSError as error:
             raise RequestError(f"cannot write to {folder}: {error.strerror or error}. Give another --out.") from error
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -170,7 +171,7 @@ class Campaign:
         task = self._task(flight)
         if not (task.flight_file.exists() and task.summary_file.exists()):
             return None
-        return msgspec.json.decode(task.summary_file.read_bytes(), type=FlightSummary)
+        return decode_json(task.summary_file.read_bytes(), FlightSummary)
 
     def _task(self, flight: CampaignFlight) -> FlightTask:
         text, scenario = self._texts

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError, VehicleError
 from dynamics.files import write_whole
 from dynamics.references import check_feasibility, named_reference
@@ -77,7 +78,7 @@ def write_check(check: FlightCheck, folder: Path) -> None:
 def read_check(folder: Path) -> FlightCheck | None:
     """The check in a bundle, None without one. Raises RequestError for a damaged file."""
     try:
-        return msgspec.json.decode((folder / FILE).read_bytes(), type=FlightCheck)
+        return decode_json((folder / FILE).read_bytes(), FlightCheck)
     except FileNotFoundError:
         return None
     except (OSError, msgspec.MsgspecError) as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import parse_toml
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.effects.wind import steady_wind
@@ -134,7 +135,7 @@ def read_scenario(path: str | Path, rotor_count: int, *, catalogue: Mapping[str,
 def parse_scenario(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Scenario:
     """A scenario from the text of its file. Raises RequestError as `read_scenario`."""
     try:
-        table = tomllib.loads(text)
+        table = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}.") from error
     refuse_unknown_keys(table, Scenario)

@@ -32,6 +32,7 @@ import torch
 from torch import Tensor, nn
 
 from dynamics.arrays import Floats
+from dynamics.decoding import decode_json
 from dynamics.effect_source import as_carried
 from dynamics.errors import RequestError
 from dynamics.trust import require_approved
@@ -221,7 +222,7 @@ def _approved_vehicle_text(text: str, path: Path) -> str:
 def _model(content: dict[str, Any]) -> TrainedModel:
     """The model of a checkpoint's entries. Raises RequestError, and what conversions raise, for invalid ones."""
     config = msgspec.convert(content["config"], ModelConfig)
-    card = msgspec.json.decode(content["card"], type=Card)
+    card = decode_json(content["card"], Card)
     scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
     ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
     limits = content["reliability"]

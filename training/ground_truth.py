@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
+from dynamics.decoding import decode_json
 from dynamics.errors import DataError
 from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import with_motor_lag
@@ -45,7 +46,7 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
     """
     path = campaign / CAMPAIGN
     try:
-        manifest: dict[str, Any] = msgspec.json.decode(path.read_bytes())
+        manifest: dict[str, Any] = decode_json(path.read_bytes())
         texts = [str(text) for text in manifest["effects"]]
     except (OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
         raise DataError(f"{path} does not name what the campaign hid: {error}. Fly it again.") from error

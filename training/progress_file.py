@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from training.reports import Report
 
@@ -54,9 +55,9 @@ def read_course(path: Path) -> Course:
     reports: dict[tuple[int, int], Report] = {}
     for line in lines:
         try:
-            beginning = beginning or msgspec.json.decode(line, type=Beginning)
+            beginning = beginning or decode_json(line, Beginning)
             if line is not lines[0]:
-                report = msgspec.json.decode(line, type=Report)
+                report = decode_json(line, Report)
                 reports[report.member, report.step] = report
         except (msgspec.MsgspecError, UnicodeDecodeError):
             continue  # torn by a full disk or a killed process

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 from array import array
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from dynamics.autopilot_frames import FRAMES, QUAD_X_ORDER, ardupilot_frame
 from dynamics.errors import DataError
 from dynamics.units import RPM
 from flights.assembly import Assembly
+from flights.library_output import captured_output
 from flights.log import LogContent
 from flights.readers.px4_rotors import in_our_order
 from flights.source import Source
@@ -52,8 +52,7 @@ def matches(source: Source) -> bool:
 def read(source: Source) -> LogContent:
     """The streams of a DataFlash log. Raises DataError when it cannot be read."""
     assembly = Assembly()
-    printed = io.StringIO()  # pymavlink prints errors
-    with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
+    with captured_output() as printed:  # pymavlink prints a line for every damaged byte
         log = DFReader_binary.__new__(DFReader_binary)  # in two steps: one that fails would leave its file open
         try:
             log.__init__(os.fspath(source.file), zero_time_base=True)
@@ -64,8 +63,8 @@ def read(source: Source) -> LogContent:
             for held in ("data_map", "filehandle"):
                 with contextlib.suppress(AttributeError, BufferError):  # never opened, or still viewed by the error
                     getattr(log, held).close()
-    if printed.getvalue():
-        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {printed.getvalue().splitlines()[0]}")
+    if printed.first_line:
+        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {printed.first_line}")
     _add_streams(assembly, collected)
     _add_rotors(assembly, collected, speeds)
     return assembly.finish()

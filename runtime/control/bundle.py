@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.approvals import Kind
+from dynamics.decoding import decode_json
 from dynamics.effect_source import ENDING, printable
 from dynamics.errors import RequestError
 from dynamics.network_inputs import Frame
@@ -240,7 +241,7 @@ def bundle_of(folder: Path, manifest: Manifest, vehicle: Vehicle, text: str) -> 
 
 def parse_manifest(text: str | bytes) -> Manifest:
     """A manifest. Raises MsgspecError for one of another version, or damaged."""
-    return msgspec.json.decode(text, type=Manifest)
+    return decode_json(text, Manifest)
 
 
 def _read_manifest(path: Path) -> tuple[Manifest, str]:

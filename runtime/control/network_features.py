@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from dynamics.array_file import read_arrays
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+
+EXPORT_AGAIN = "Export the model again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +53,13 @@ def last_layer_file(moment: Floats, *, body: bool) -> bytes:
 
 def read_features(path: Path, rank: int) -> NetworkFeatures:
     """The features of a bundle's file. Raises RequestError for one that cannot be read."""
+    content = read_arrays(path, advice=EXPORT_AGAIN)
+    moment, body = content.get("moment", np.zeros(0)), content.get("body", np.zeros(0))
+    if moment.ndim != 2 or moment.shape[0] != moment.shape[1] or not moment.size or body.size != 1:
+        raise RequestError(f"cannot read {path}: it holds no square moment with its frame. {EXPORT_AGAIN}")
+    if not np.isfinite(moment).all():
+        raise RequestError(f"cannot read {path}: its moment is not finite. {EXPORT_AGAIN}")
     try:
-        with np.load(path) as content:
-            return whitened(content["moment"], rank, body=bool(content["body"]))
-    except (OSError, ValueError, KeyError) as error:
-        raise RequestError(f"cannot read {path}: {error}. Export the model again.") from None
+        return whitened(moment.astype(float), rank, body=bool(body.item()))
+    except ValueError as error:  # NumPy's, where no eigenvalues are found
+        raise RequestError(f"cannot read {path}: {error}. {EXPORT_AGAIN}") from None

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from dynamics.array_file import read_arrays
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from dynamics.state import RIGID_BODY_STATES
@@ -23,6 +24,7 @@ from runtime.control.rti.solver import RtiSolver
 RECORDED = (0, 3, 10, 20, 40, 90)  # ticks from hover on
 STEP = 2.0  # m to the place that the recorded flight goes to: rotors and soft limits act
 PERIOD = 0.01  # s between recorded ticks
+EXPORT_AGAIN = "Export the model again."
 REPETITIONS = 300  # of a tick, to measure its time
 ARGUMENTS = ("parameters", "environment", "history", "inputs", "state_reference", "input_reference")
 ANSWERS = ("states", "hessian", "gradient", "solution")
@@ -203,13 +205,12 @@ def _timing(kernel: str, solver: RtiSolver, ticks: list[dict[str, Floats]], peri
 
 
 def read_ticks(path: Path) -> dict[str, dict[str, dict[str, Floats]]]:
-    """Arrays by kernel, tick and name."""
+    """Arrays by kernel, tick and name. Raises RequestError for a file that is damaged."""
     ticks: dict[str, dict[str, dict[str, Floats]]] = {}
-    try:
-        with np.load(path) as arrays:
-            for key, value in arrays.items():
-                kernel, tick, name = key.split("/")
-                ticks.setdefault(kernel, {}).setdefault(tick, {})[name] = value
-    except (OSError, ValueError) as error:
-        raise RequestError(f"cannot read {path}: {error}. Export the model again.") from None
+    for key, value in read_arrays(path, advice=EXPORT_AGAIN).items():
+        try:
+            kernel, tick, name = key.split("/")
+        except ValueError:
+            raise RequestError(f"cannot read {path}: {key!r} is no KERNEL/TICK/NAME. {EXPORT_AGAIN}") from None
+        ticks.setdefault(kernel, {}).setdefault(tick, {})[name] = value
     return ticks

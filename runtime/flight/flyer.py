@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from math import degrees, inf, isnan, radians
 
-import msgspec
 import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.decoding import decode_json
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation import Adaptation, FollowedValue
@@ -343,7 +343,7 @@ class Flyer:
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
         present, self._pending = self._pending, {}
         if observation.findings:
-            present |= {Event(name): text for name, text in msgspec.json.decode(observation.findings).items()}
+            present |= {Event(name): text for name, text in decode_json(observation.findings).items()}
         present |= self._health.estimate_age(estimate, observation.time)
         if self._received is not None:
             present |= self._frozen.update(self._received, self._force)

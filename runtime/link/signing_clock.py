@@ -14,6 +14,7 @@ from typing import Annotated
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.own_folder import locked, make_own_folder, read_own, replace_own, state_folder
 from dynamics.signing_key import TICKS, SigningKey, signing_ticks
@@ -135,7 +136,7 @@ class SigningClock:
         if content is None:
             return SigningState(0)
         try:
-            return msgspec.json.decode(content, type=SigningState)
+            return decode_json(content, SigningState)
         except msgspec.MsgspecError as error:
             raise _unusable(self._path, f"it is damaged: {error}. Make a new key and remove this file") from None
 

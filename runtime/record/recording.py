@@ -17,6 +17,7 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
+from dynamics.decoding import decode_json
 from dynamics.errors import DataError, RequestError
 from dynamics.mcap_chunks import records_of
 from runtime.record.records import TOPICS, Record
@@ -42,16 +43,24 @@ class FlightRecording:
     complete: bool
 
     def table(self, topic: str) -> dict[str, NDArray[Any]]:
-        """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records."""
+        """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records.
+
+        Raises DataError for rows that differ in their fields.
+        """
         rows = self.messages.get(topic, [])
-        return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
+        with damage_named(self.path):
+            return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
 
     def records(self, kind: type[Record]) -> list[Any]:
-        """A topic's rows as the structs that were recorded; a field that the recording lacks has its default."""
-        return [
-            kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
-            for row in self.messages.get(TOPICS[kind], [])
-        ]
+        """A topic's rows as the structs that were recorded; a field that the recording lacks has its default.
+
+        Raises DataError for rows that are none.
+        """
+        with damage_named(self.path):
+            return [
+                kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
+                for row in self.messages.get(TOPICS[kind], [])
+            ]
 
 
 @contextmanager
@@ -148,7 +157,7 @@ def _read(path: Path) -> FlightRecording:
                     topics[part.id] = part.topic
                 case Message():
                     rows = messages.setdefault(topics[part.channel_id], [])
-                    rows.append(msgspec.json.decode(part.data))
+                    rows.append(decode_json(part.data))
                 case Metadata() if part.name == "alula":
                     metadata.update(part.metadata)
                 case Attachment():

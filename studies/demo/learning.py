@@ -12,6 +12,7 @@ from diagnosis.addition import write_next_version
 from diagnosis.completion import Completion, complete
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.report import sentence
+from dynamics.decoding import decode_json
 from dynamics.own_effects import catalogue_of
 from dynamics.vehicle_file import find_vehicle, read_vehicle
 from studies.demo.flights import DemoOptions
@@ -53,6 +54,6 @@ def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "")
         channels={k: PredictionError(e.before, after[k].after, e.floor, e.unit) for k, e in diagnosis.channels.items()},
         vehicle_file=str(written),
         flown=(),
-        diagnosis=msgspec.json.decode(msgspec.json.encode(diagnosis)),
+        diagnosis=decode_json(msgspec.json.encode(diagnosis)),
     )
     return Learning(learned, dataset, completion)

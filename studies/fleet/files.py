@@ -6,6 +6,8 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
+
 LINES, TABLE, LOCK, ABOUT = "flights.jsonl", "flights.parquet", "flights.lock", "fleet.json"
 
 
@@ -19,6 +21,6 @@ class FleetAbout(msgspec.Struct, frozen=True):
 def read_about(folder: Path) -> FleetAbout | None:
     """What the lines of a folder are of; None for results of older versions."""
     try:
-        return msgspec.json.decode((folder / ABOUT).read_bytes(), type=FleetAbout)
+        return decode_json((folder / ABOUT).read_bytes(), FleetAbout)
     except (OSError, msgspec.MsgspecError):
         return None

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from diagnosis.models.channels import KINDS
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json, write_whole
 from studies.fleet.files import ABOUT, LINES, LOCK, TABLE, FleetAbout
@@ -133,7 +134,7 @@ def _flights_of(text: bytes) -> dict[str, FleetFlight]:
     flights: dict[str, FleetFlight] = {}
     for line in text.split(b"\n"):
         try:
-            flight = msgspec.json.decode(line, type=FleetFlight)
+            flight = decode_json(line, FleetFlight)
         except (msgspec.MsgspecError, UnicodeDecodeError):
             continue
         flights.pop(flight.log, None)
@@ -145,7 +146,7 @@ def _line(flight: FleetFlight) -> bytes:
     """A line that reads back as the same flight: numbers that are not finite have no JSON."""
     line = msgspec.json.encode(flight)
     try:
-        msgspec.json.decode(line, type=FleetFlight)
+        decode_json(line, FleetFlight)
     except msgspec.ValidationError:
         failed = msgspec.structs.replace(
             flight, status="failed", verdict="", sentence="", effects=(), channels={}, error="the fit is not finite."

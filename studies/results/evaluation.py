@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import plotly.graph_objects as go
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from studies.evaluation.run import EvaluationAnswer
 from studies.evaluation.tables import evaluation_tables, summary_lines
@@ -22,7 +23,7 @@ COLOURS = (AFTER, ORANGE, GREEN, PURPLE, SKY, VERMILION)
 def show(path: Path) -> Shown:
     """The evaluation. Raises RequestError for a file of another version."""
     try:
-        answer = msgspec.json.decode(path.read_bytes(), type=EvaluationAnswer)
+        answer = decode_json(path.read_bytes(), EvaluationAnswer)
     except (OSError, msgspec.MsgspecError) as error:
         raise RequestError(f"{path} is no evaluation that this version reads: {error}. Evaluate again.") from error
     report = answer.evaluated

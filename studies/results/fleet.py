@@ -32,10 +32,18 @@ def show(path: Path) -> Shown:
         sentences(report),
         pictures=_pictures(report),
         tables=[_vehicles(report), _drifts(report), _outliers(report), _flights(report)],
-        logs={name: log for name, log in logs.items() if log.exists()},
+        logs={name: log for name, log in logs.items() if _is_there(log)},
         share=share,
         command=f"alula diagnose --fleet {report.folder} --out {path}",
     )
+
+
+def _is_there(log: Path) -> bool:
+    """Whether a log is at its path; a name that no file system takes is that of none."""
+    try:
+        return log.exists()
+    except (OSError, ValueError):
+        return False
 
 
 def _pictures(report: FleetReport) -> dict[str, Picture]:

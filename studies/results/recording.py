@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.thresholds import DEFAULT
-from runtime.record.recording import newest_recording
+from runtime.record.recording import damage_named, newest_recording
 from runtime.record.records import EventRecord, StateRecord
 from studies.results.kinds import RECORDING
 from studies.results.recorded_flight import RecordedFlight, read_flight_record
@@ -25,7 +25,12 @@ NO_FALLBACK = "none"
 
 def show(path: Path) -> Shown:
     """The flight. Raises RequestError and DataError for a file that is no recording of `alula fly`."""
-    flight = read_flight_record(newest_recording(path))
+    path = newest_recording(path)
+    with damage_named(path):
+        return _shown(read_flight_record(path))
+
+
+def _shown(flight: RecordedFlight) -> Shown:
     return Shown(
         RECORDING,
         f"Flight of {flight.recording.metadata.get('reference', 'a reference')}, {flight.path.name}",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from studies.figures import as_png
 from studies.results.kinds import SWEEP
@@ -58,6 +59,6 @@ def _outcomes(path: Path) -> list[Outcome]:
 
 def _decoded(file: Path, kind: type[Outcome]) -> dict[str, Outcome]:
     try:
-        return {file.stem: msgspec.json.decode(file.read_bytes(), type=kind)}
+        return {file.stem: decode_json(file.read_bytes(), kind)}
     except (OSError, msgspec.MsgspecError):
         return {}  # another tool's file, or one that is being written

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import plotly.graph_objects as go
 
+from dynamics.decoding import decode_json
 from studies.results.kinds import TRAINING, model_of
 from studies.results.shown import Shown
 from studio.pages.figure import AFTER, GREEN, ORANGE, PURPLE, SKY, VERMILION, Picture, line, picture
@@ -51,7 +52,7 @@ def _card(model: Path) -> Card | None:
     try:
         if file.stat().st_mtime_ns < progress_file(model).stat().st_mtime_ns:
             return None  # of the model that this training will replace
-        return msgspec.json.decode(file.read_bytes(), type=Card)
+        return decode_json(file.read_bytes(), Card)
     except (OSError, msgspec.MsgspecError):
         return None
 

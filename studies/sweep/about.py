@@ -6,6 +6,8 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
+
 ABOUT = "sweep.about"
 
 
@@ -20,6 +22,6 @@ class SweepAbout(msgspec.Struct, frozen=True):
 def read_about(folder: Path) -> SweepAbout | None:
     """What the cells of a folder are of; None for a folder that holds no sweep."""
     try:
-        return msgspec.json.decode((folder / ABOUT).read_bytes(), type=SweepAbout)
+        return decode_json((folder / ABOUT).read_bytes(), SweepAbout)
     except (OSError, msgspec.MsgspecError):
         return None

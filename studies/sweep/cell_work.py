@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from flights.source import sha256
 from studies.sweep.cell import Cell, CellResult, FailedCell
@@ -108,7 +109,7 @@ def _hash_of(path: Path, _changed: int, _size: int) -> str:
 def finished(work: CellWork) -> CellResult | None:
     """The result of a cell, None while it is not finished. Raises RequestError for a file of another sweep."""
     try:
-        result = msgspec.json.decode(work.result_file.read_bytes(), type=CellResult)
+        result = decode_json(work.result_file.read_bytes(), CellResult)
     except FileNotFoundError:
         return None
     except (OSError, msgspec.MsgspecError) as error:
@@ -134,6 +135,6 @@ def finished_cells(works: Sequence[CellWork]) -> Iterator[tuple[int, CellResult]
 def failure(work: CellWork) -> FailedCell | None:
     """The failure of a cell's last attempt, None without one or with a damaged file."""
     try:
-        return msgspec.json.decode(work.failure_file.read_bytes(), type=FailedCell)
+        return decode_json(work.failure_file.read_bytes(), FailedCell)
     except (OSError, msgspec.MsgspecError):
         return None

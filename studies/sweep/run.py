@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
@@ -196,6 +197,6 @@ def _require_field(name: str, struct: type[msgspec.Struct]) -> None:
 def _value(text: str) -> Any:
     """A number or a truth value where it is one, else the text; the recipe's own types are checked later."""
     try:
-        return msgspec.json.decode(text)
+        return decode_json(text)
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return text

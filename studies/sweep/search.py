@@ -22,6 +22,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from studies.sweep.cell import Cell, CellResult, Outcome
 from studies.sweep.cell_work import CellWork, failure, finished
@@ -105,7 +106,7 @@ class Search:
             if not path.exists():
                 continue
             try:
-                cell = msgspec.json.decode(path.read_bytes(), type=CellResult).cell
+                cell = decode_json(path.read_bytes(), CellResult).cell
             except (OSError, msgspec.MsgspecError) as error:
                 raise RequestError(
                     f"{path} is no cell of a sweep: {error}. Delete it, or give another --out."

@@ -13,6 +13,7 @@ from typing import Literal, TypeVar
 
 import msgspec
 
+from dynamics.decoding import decode_json
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import make_folder, write_whole
 from dynamics.vehicle_plausibility import require_in_range
@@ -189,7 +190,7 @@ class OpenCase:
         folder = self.case.shown_result(step) if shown else self.case.result_folder(step)
         if folder is None or not (folder / FILES[kind]).is_file():
             return None
-        return msgspec.json.decode((folder / FILES[kind]).read_bytes(), type=kind)
+        return decode_json((folder / FILES[kind]).read_bytes(), kind)
 
     def refusal(self, step: str) -> Refusal | None:
         """Why the step was refused in the present state, None where it was not."""
@@ -201,7 +202,7 @@ class OpenCase:
         folder = self.case.result_folder("flights")
         if not (folder / FLIGHTS).is_file():
             return None
-        return folder, msgspec.json.decode((folder / FLIGHTS).read_bytes(), type=tuple[FlightInfo, ...])
+        return folder, decode_json((folder / FLIGHTS).read_bytes(), tuple[FlightInfo, ...])
 
     def is_fresh(self, step: str) -> bool:
         """Whether the step's result is of the present state."""
@@ -343,7 +344,7 @@ class OpenCase:
         self.start_if_open("compare")
 
     def _take_version(self, task: Task, result: Path) -> None:
-        added = msgspec.json.decode((result / FILES[Added]).read_bytes(), type=Added)
+        added = decode_json((result / FILES[Added]).read_bytes(), Added)
         levels = {k: ChannelLevel(e.before, e.after, e.floor, e.unit) for k, e in added.report.channels.items()}
         self.case.add_version(
             (result / VEHICLE).read_text(encoding="utf-8"),

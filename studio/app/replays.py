@@ -7,8 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
-import msgspec
-
+from dynamics.decoding import decode_json
 from runtime.replay import ReplayReport
 
 RUNNING = "It is flown again; this takes about a tenth of the flight's time."
@@ -42,7 +41,7 @@ class Replays:
     def _collect(self, path: Path, process: subprocess.Popen[str]) -> None:
         answer, errors = process.communicate()
         if process.returncode == 0:
-            lines = msgspec.json.decode(answer, type=ReplayReport).lines
+            lines = decode_json(answer, ReplayReport).lines
         else:
             lines = [errors.strip().removeprefix("alula: ") or f"The replay ended with {process.returncode}."]
         self._lines[path] = lines

@@ -20,6 +20,7 @@ from werkzeug.exceptions import ClientDisconnected
 from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
 from werkzeug.utils import secure_filename
 
+from dynamics.decoding import decode_json
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import write_whole
 from dynamics.vehicle_file import with_effect_files
@@ -251,7 +252,7 @@ def _picture() -> bytes:
     if len(body) > MAX_FIGURE:
         raise RequestError(f"the picture has more than {MAX_FIGURE >> 20} MB. Zoom in, or save it as PNG.")
     try:
-        figure = msgspec.json.decode(body, type=SavedFigure)
+        figure = decode_json(body, SavedFigure)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise RequestError(f"that is no picture: {error}. Send data, layout, width and height.") from None
     return picture_pdf({"data": figure.data, "layout": figure.layout}, width=figure.width, height=figure.height)

@@ -39,6 +39,8 @@ BYTES_OF_ENTRY = 2_048  # that an entry may have in an archive's list of content
 ZIP_CHUNK = 1 << 16  # bytes that are unpacked at once, and at most read for it
 ENCRYPTED = 0x1  # flag of an entry
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # whose output is bounded for every byte that is read
+# What zipfile raises for damaged members: beside its own, of decompression, encryption, unknown methods and bad names.
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, LookupError, struct.error, OverflowError)
 
 
 def write_archive(case: Case, path: Path) -> Path:
@@ -95,7 +97,7 @@ def unpack_archive(path: Path, folder: Path) -> Path:
         require_confined(read_state(part), part)
         set_links(folder.resolve(), ())  # of a case that was there before
         part.replace(folder)
-    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, struct.error) as error:
+    except (*DAMAGE, OSError) as error:
         raise RequestError(f"{path} cannot be opened as a case: {error}. Give a file that `Send` wrote.") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)

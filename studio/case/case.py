@@ -18,6 +18,7 @@ from typing import IO, Any
 
 import msgspec
 
+from dynamics.decoding import decode_json, editable_toml, parse_toml
 from dynamics.effect_source import EffectFile, read_effect_file, read_effect_file_below
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json, write_whole
@@ -172,7 +173,7 @@ class Case:
         """The name in a version's file, whatever else stands there; no effects run. Raises as `vehicle_path`."""
         path = self.vehicle_path(version)
         try:
-            name = tomllib.loads(path.read_text(encoding="utf-8")).get("name")
+            name = parse_toml(path.read_text(encoding="utf-8")).get("name")
         except (OSError, ValueError):  # of TOML and UTF-8
             name = None
         return name if isinstance(name, str) else path.stem
@@ -459,7 +460,7 @@ def _without_effect_files(text: str) -> str:
     """A vehicle file without its list of effect files, which the case has."""
     import tomlkit
 
-    document = tomlkit.parse(text)
+    document = editable_toml(text)
     document.pop("effect_files", None)
     return tomlkit.dumps(document)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 
 from dynamics.approvals import store_path
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from studio.case.state import CaseLog
 
@@ -77,8 +78,8 @@ def _read() -> tuple[LinkedLog, ...]:
                 raise _unusable(path, f"others may write {place}")
         content = file.read(MAX_BYTES)
     try:
-        return msgspec.json.decode(content, type=tuple[LinkedLog, ...])
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        return decode_json(content, tuple[LinkedLog, ...])
+    except msgspec.MsgspecError as error:
         raise _unusable(path, f"it is damaged: {error}") from None
 
 

@@ -11,6 +11,7 @@ from typing import IO, Any
 import msgspec
 
 from dynamics.effect_source import printable
+from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.inside import path_inside
 from studio.case.state import FORMAT, CaseState
@@ -52,12 +53,12 @@ def read_state(folder: Path) -> CaseState:
         advice = "Give the folder of a case; `alula studio LOG... --case FOLDER` makes one."
         raise RequestError(f"{folder} holds no case ({STATE_FILE}: {error.strerror or error}). {advice}") from None
     try:
-        number = msgspec.json.decode(content, type=dict[str, Any]).get("format")
+        number = decode_json(content, dict[str, Any]).get("format")
         if number != FORMAT:
             advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
             raise RequestError(f"{path} is of format {number!r}. {advice}")
-        state = msgspec.json.decode(content, type=CaseState)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        state = decode_json(content, CaseState)
+    except msgspec.MsgspecError as error:
         raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
     numbers = [version.number for version in state.versions]
     if len(set(numbers)) < len(numbers) or any(not 0 <= v.parent < v.number for v in state.versions):

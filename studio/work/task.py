@@ -6,6 +6,8 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.decoding import decode_json
+
 REFUSED = "refused.json"
 
 
@@ -57,4 +59,4 @@ class Refusal(msgspec.Struct, frozen=True):
 def refusal_of(folder: Path) -> Refusal | None:
     """The refusal that a result's folder holds, None where the step was done."""
     path = folder / REFUSED
-    return msgspec.json.decode(path.read_bytes(), type=Refusal) if path.is_file() else None
+    return decode_json(path.read_bytes(), Refusal) if path.is_file() else None

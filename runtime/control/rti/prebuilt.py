@@ -16,6 +16,7 @@ import msgspec
 from dynamics import symbolic
 from dynamics.active_effect import ActiveEffect, activate, time_constants
 from dynamics.codegen import has_compiler
+from dynamics.decoding import decode_json
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
@@ -83,7 +84,7 @@ def facts_key(vehicle: Vehicle) -> str:
 def stored_facts() -> dict[str, KernelFacts]:
     """Facts of the vehicles that were built with this install, by `facts_key`."""
     try:
-        return msgspec.json.decode((FOLDER / FACTS).read_bytes(), type=dict[str, KernelFacts])
+        return decode_json((FOLDER / FACTS).read_bytes(), dict[str, KernelFacts])
     except FileNotFoundError:
         return {}
 
