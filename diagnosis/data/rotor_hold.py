@@ -34,13 +34,11 @@ class RotorHold:
 
     share: of the later row in the mean speed between two rows.
     std: of it.
-    gain: twice the log-likelihood over smooth speeds.
     period: between two rows, s.
     """
 
     share: float
     std: float
-    gain: float
     period: float
 
     def applied(self, segment: Segment) -> Segment:
@@ -52,8 +50,8 @@ class RotorHold:
         late = 1e3 * (self.share - 0.5) * self.period
         return (
             f"rotor speeds are read as held or settling between rows: the mean between two rows is {self.share:.2f} "
-            f"+- {1.96 * self.std:.2f} of the later one, {late:+.2f} ms from a straight line (twice the log-likelihood "
-            f"of the rotation rises by {self.gain:.0f}). The controller is likely no faster than the log"
+            f"+- {1.96 * self.std:.2f} of the later one, {late:+.2f} ms from a straight line. The controller is likely "
+            "no faster than the log"
         )
 
 
@@ -66,7 +64,7 @@ def find_hold(
     nominal = NominalWrench(vehicle)
     turned = [_Delay.of([_rotation(s, nominal, vehicle, axis) for s in segments], limits) for axis in TURNED]
     rows = _Delay.joined([one for one in turned if one is not None])
-    if rows is None or rows.deviations < limits.deviations or rows.gain < limits.min_gain:
+    if rows is None or rows.deviations < limits.deviations:
         return None
     thrust = None
     if all(s.specific_force is not None for s in segments):
@@ -77,7 +75,7 @@ def find_hold(
     share = 0.5 + late
     if not -limits.slack * std <= share <= 1 + limits.slack * std:
         return None
-    return RotorHold(float(np.clip(share, 0.0, 1.0)), std, rows.gain, 1 / segments[0].rate)
+    return RotorHold(float(np.clip(share, 0.0, 1.0)), std, 1 / segments[0].rate)
 
 
 def _is_late(rotation: _Delay, thrust: _Delay, limits: RotorHoldThresholds) -> bool:
@@ -104,18 +102,18 @@ class _Rows:
 @dataclass(frozen=True)
 class _Delay:
     """By how many rows a forcing is late, by instruments. plain: the same by all motion, with its deviation, which is
-    more precise and which feedback may bias. gain: twice the log-likelihood that this gains."""
+    more precise and which feedback may bias. Deviations are of blocks: the rows' own likelihood is turbulence's."""
 
     rows: float
     std: float
     plain: float
     plain_std: float
-    gain: float
 
     @property
     def deviations(self) -> float:
-        """From none."""
-        return abs(self.rows) / self.std
+        """From none: the root of Wald's statistic."""
+        rows, std = self.best
+        return abs(rows) / std
 
     @property
     def best(self) -> tuple[float, float]:
@@ -132,7 +130,7 @@ class _Delay:
             return None
         rows, std = _mean([one.rows for one in delays], [one.std for one in delays])
         plain, plain_std = _mean([one.plain for one in delays], [one.plain_std for one in delays])
-        return cls(rows, std, plain, plain_std, sum(one.gain for one in delays))
+        return cls(rows, std, plain, plain_std)
 
     @classmethod
     def of(cls, parts: Sequence[_Rows], limits: RotorHoldThresholds) -> _Delay | None:
@@ -141,15 +139,7 @@ class _Delay:
         plain = _estimated(parts, [part.forcing for part in parts], limits)
         if by_instruments is None or plain is None:
             return None
-        y = np.concatenate([_centred(part.y) for part in parts])
-        others, forcing = (np.vstack([_centred(x) for x in group]) for group in _divided(parts))
-        left = [_sum_of_squares(y, np.hstack([forcing[:, :k], others])) for k in (1, 2)]
-        gain = limits.independent_share * len(y) * float(np.log(left[0] / left[1]))
-        return cls(*by_instruments, *plain, gain)
-
-
-def _divided(parts: Sequence[_Rows]) -> tuple[list[Floats], list[Floats]]:
-    return [part.others for part in parts], [part.forcing for part in parts]
+        return cls(*by_instruments, *plain)
 
 
 def _estimated(
@@ -183,11 +173,6 @@ def _centred(values: Floats) -> Floats:
 
 def _by_block(values: Floats, length: int) -> Floats:
     return np.add.reduceat(values, np.arange(0, len(values), length))
-
-
-def _sum_of_squares(y: Floats, x: Floats) -> float:
-    left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
-    return float(left @ left)
 
 
 def _with_change(forcing: Floats) -> Floats:

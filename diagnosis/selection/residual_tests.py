@@ -15,10 +15,10 @@ from scipy.linalg.lapack import dposv
 from scipy.stats import distributions
 
 from diagnosis.data.segment import Segment
-from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE
+from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE, measured
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.spectral_line import line_by_chance, strongest_line
+from diagnosis.selection.spectral_line import left_of_motion, line_by_chance, strongest_line
 from diagnosis.thresholds import ResidualTestThresholds
 from dynamics.arrays import Floats
 from dynamics.state import POSITION, RATE, VELOCITY
@@ -65,7 +65,7 @@ class ResidualTests:
         velocity, gains on flights left out, over the number of whitened residuals, beyond a controller's answer to
         turbulence and what turbulence makes of the state a moment later; beside an estimator's slow errors, less what
         the state gains at most in residuals from elsewhere, with which it has nothing to do, and of its own errors.
-    spectral_line: greatest narrow-band power over its surroundings.
+    spectral_line: greatest narrow-band power over its surroundings, but for what a form leaves of the motion's lines.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
     findings: what each test finds, by its name.
@@ -246,8 +246,12 @@ def _line(
     rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds
 ) -> tuple[float, float, Finding | None]:
     """The strongest line's power over its surroundings, that of chance where it matters, and the line itself."""
-    line = strongest_line(rows, regression.rate, thresholds)
-    matters = line.over_surroundings > regression.thresholds.verdict.max_line
+    limits = regression.thresholds.verdict
+    explained = [measured(s) - r for s, r in zip(regression.segments, rows, strict=True)]
+    max_rms = limits.max_excused * regression.noise.floor[MOTION]
+    excused = left_of_motion(rows, explained, thresholds, max_share=limits.max_share, max_rms=max_rms)
+    line = strongest_line(rows, regression.rate, thresholds, excused)
+    matters = line.over_surroundings > limits.max_line
     by_chance = line_by_chance(rows, regression.rate, thresholds) if matters else 0.0
     finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, regression.noise.floor)
     shown = None if finding is None else replace(finding, frequency=line.frequency)

@@ -32,11 +32,19 @@ class Line:
     part: tuple[Floats, ...] = field(repr=False)
 
 
-def strongest_line(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> Line:
-    """The line that exceeds its surroundings most. rows: (m, 12) residuals of each segment at rate Hz."""
+def strongest_line(
+    rows: Sequence[Floats],
+    rate: float,
+    thresholds: ResidualTestThresholds,
+    left_over: NDArray[np.bool_] | None = None,
+) -> Line:
+    """The line that exceeds its surroundings most. rows: (m, 12) residuals of each segment at rate Hz.
+
+    left_over: (f, 9) where there is none, since it is what a form leaves of the motion (`left_of_motion`).
+    """
     power, median = _spectrum([r[:, MOTION] for r in rows], thresholds)
     band, frequency = _band(rate, thresholds)
-    over = (power / median)[band]
+    over = (power / median if left_over is None else np.where(left_over, 0.0, power / median))[band]
     place, channel = np.unravel_index(int(np.argmax(over)), over.shape)
     width, used = float(frequency[1] - frequency[0]), thresholds.line_rows
     near = float(frequency[place]) + width * np.linspace(-0.5, 0.5, thresholds.line_refinement)
@@ -46,6 +54,29 @@ def strongest_line(rows: Sequence[Floats], rate: float, thresholds: ResidualTest
     greatest = float(over[place, channel])
     shown = max(0.0, 1 - 1 / greatest)  # the rest of the sine is noise of its surroundings
     return Line(int(channel), float(at), greatest, float(np.sqrt(shown * size)), part)
+
+
+def left_of_motion(
+    rows: Sequence[Floats],
+    explained: Sequence[Floats],
+    thresholds: ResidualTestThresholds,
+    *,
+    max_share: float,
+    max_rms: Floats,
+) -> NDArray[np.bool_]:
+    """(f, 9) where a line of residuals is one of the motion that an imperfect form leaves in part.
+
+    A periodic manoeuvre is lines at its harmonics, and what a form leaves of it as well: there the motion stands out
+    from its surroundings by as much. A periodic cause that nothing names is a line elsewhere, or a larger one.
+    rows, explained: (m, 12) residuals of each segment, and what the model explains there. max_share: of its power that
+    a form may leave. max_rms: (9,) of a line.
+    """
+    power, median = _spectrum([r[:, MOTION] for r in rows], thresholds)
+    moved, around = _spectrum([x[:, MOTION] - x[:, MOTION].mean(axis=0) for x in explained], thresholds)
+    lengths = np.array([min(len(r), thresholds.line_rows) for r in rows])
+    rms = np.sqrt(8 * power / np.sum(lengths**2))  # of a sine under a window of Hann
+    stands_out = moved * median >= power * around
+    return np.asarray(stands_out & (power <= max_share * moved) & (rms <= max_rms))
 
 
 def line_by_chance(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
@@ -73,7 +104,8 @@ def _spectrum(rows: Sequence[Floats], thresholds: ResidualTestThresholds) -> tup
     count = thresholds.line_rows
     power = np.zeros((count // 2 + 1, rows[0].shape[1]))
     for r in rows:
-        power += np.abs(np.fft.rfft(r * np.hanning(len(r))[:, None], count, axis=0)) ** 2
+        used = r[:count]
+        power += np.abs(np.fft.rfft(used * np.hanning(len(used))[:, None], count, axis=0)) ** 2
     median = median_filter(power, size=(thresholds.line_surroundings, 1), mode="nearest")
     return power, np.maximum(median, 1e-12)
 

@@ -236,11 +236,10 @@ class RotorHoldThresholds(ThresholdGroup, frozen=True):
     """Whether rotor speeds hold or settle between rows. Applied when flights are read.
 
     deviations: of the mean's delay from none, below which speeds count as smooth. [convention: five]
-    min_gain: twice the log-likelihood that it must gain, and by which one delay of rotation and thrust must be likelier
-        to count as a late clock. [convention: three deviations]
+    min_gain: twice the log-likelihood by which one delay of rotation and thrust must be likelier to count as a late
+        clock. [convention: three deviations]
     slack: deviations by which a share may lie outside of 0 to 1. [convention: three]
     block_rows: of the regression over which residuals may be correlated. [definition: two seconds]
-    independent_share: of the rows, for the likelihood. [definition: that of the search]
     ridge: of the scaled columns. [convention]
     """
 
@@ -248,7 +247,6 @@ class RotorHoldThresholds(ThresholdGroup, frozen=True):
     min_gain: Score = 9.0
     slack: Positive = 3.0
     block_rows: Count = 50
-    independent_share: Share = 0.25
     ridge: Share = 1e-6
 
 

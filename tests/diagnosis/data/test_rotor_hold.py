@@ -1,15 +1,18 @@
 """Rotor speeds between rows: a rotor that settles behind a held command is recognised, smooth speeds stay smooth."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import alula
 from diagnosis.data.filters import difference, mean_of_held, simpson
 from diagnosis.data.rotor_hold import _Delay, _is_late, _Rows
 from diagnosis.thresholds import DEFAULT
 
 LIMITS = DEFAULT.rotor_hold
+ROTORPY = Path(__file__).parents[2] / "data" / "rotorpy_100hz"
 
 
 @pytest.mark.parametrize("lag_in_periods", [0.2, 0.5, 2.0])
@@ -48,7 +51,6 @@ def test_a_delay_is_found_with_its_deviation_and_none_where_there_is_none(seed):
     assert none is not None
     assert abs(there.rows - 0.15) < 4 * there.std
     assert there.deviations > LIMITS.deviations
-    assert there.gain > LIMITS.min_gain > none.gain
     assert none.deviations < LIMITS.deviations
 
 
@@ -63,3 +65,10 @@ def test_speeds_that_are_late_in_thrust_too_have_a_late_clock():
     assert not _is_late(rotation, instant, LIMITS)
     vague = replace(thrust, rows=0.3, std=2.0)
     assert not _is_late(rotation, vague, LIMITS)
+
+
+def test_a_controller_as_fast_as_the_log_is_no_moment_of_the_rotors():
+    """Flights of another simulator that hide nothing: a gyroscopic moment and a damping were named, 95 % sure."""
+    diagnosis = alula.diagnose(sorted(map(str, ROTORPY.glob("*.csv.gz"))), str(ROTORPY / "vehicle.toml"))
+    assert diagnosis.report.effects == ()
+    assert diagnosis.report.verdict == "explained"

@@ -119,6 +119,63 @@ def test_a_planted_sine_is_a_line(of_noise):
     assert named.rms == pytest.approx(0.8 / np.sqrt(2), rel=0.1)
 
 
+def harmonics(segments, rate=25.0):
+    """(m,) of each segment: a periodic manoeuvre of 1.1 Hz with a second and a third harmonic."""
+    times = [np.arange(len(s.smooth[s.decimated])) / rate for s in segments]
+    return [sum(np.sin(2 * np.pi * 1.1 * k * t + k) / k for k in (1, 2, 3)) for t in times]
+
+
+def flown(segment, motion):
+    """The segment with an angular acceleration about y that is this motion."""
+    time = np.arange(len(segment)) / segment.rate
+    rows = np.arange(len(segment.position))[segment.decimated]
+    gyro = segment.gyro.copy()
+    gyro[:, 1] += np.cumsum(np.interp(time, time[rows], motion)) / segment.rate
+    return dataclasses.replace(segment, gyro=gyro)
+
+
+@pytest.fixture(scope="module")
+def periodic(of_noise, segments):
+    """Makes the regression of a periodic manoeuvre that turns the vehicle by 20 times the noise, and noise for it."""
+    motion = harmonics(segments)
+    moving = tuple(flown(s, 20.0 * turning) for s, turning in zip(segments, motion, strict=True))
+
+    def make(seed):
+        of_all, rows = of_noise(seed)
+        return dataclasses.replace(of_all, segments=moving), rows, motion
+
+    return make
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_form_leaves_of_a_periodic_manoeuvre_is_no_line(periodic, seed):
+    of_all, rows, motion = periodic(seed)
+    for y, turning in zip(rows, motion, strict=True):
+        y[:, 7] += 0.04 * 20.0 * turning  # a form that is wrong by 4 %
+    tests = run_residual_tests(of_all, rows)
+    assert "spectral_line" not in fires(tests)
+    assert strongest_line(rows, 25.0, FEW.residual_tests).over_surroundings > max(LIMITS.max_line, tests.line_by_chance)
+
+
+@pytest.mark.parametrize("frequency", [1.6, 2.75, 4.0])
+def test_a_line_elsewhere_than_the_manoeuvre_s_is_one_beside_what_a_form_leaves(periodic, frequency):
+    of_all, rows, motion = periodic(1)
+    for y, turning in zip(rows, motion, strict=True):
+        y[:, 7] += 0.04 * 20.0 * turning + 0.6 * np.sin(2 * np.pi * frequency * np.arange(len(y)) / 25.0)
+    tests = run_residual_tests(of_all, rows)
+    assert "spectral_line" in fires(tests)
+    assert tests.findings["spectral_line"].frequency == pytest.approx(frequency, abs=0.05)
+
+
+@pytest.mark.parametrize("left", [0.3, 0.15])
+def test_a_line_of_the_manoeuvre_of_which_much_is_left_is_one(periodic, left):
+    """A share of its power above `max_share`, and one below it that is far above the floor."""
+    of_all, rows, motion = periodic(2)
+    for y, turning in zip(rows, motion, strict=True):
+        y[:, 7] += left * 20.0 * turning
+    assert "spectral_line" in fires(run_residual_tests(of_all, rows))
+
+
 def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise):
     of_all, rows = of_noise(0)
     for i, y in enumerate(rows):
