@@ -32,7 +32,7 @@ from runtime.control.rti.hpipm import HPIPM, libraries_in
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS
 
-FORMAT, VERSION = "alula bundle", 3
+FORMAT, VERSION = "alula bundle", 4
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
 LAST_LAYER = "last_layer.npz"  # what a network's last layer was trained on, where it may follow in flight

@@ -33,12 +33,14 @@ class KernelFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hidden_initial: hidden states in hover.
     thrust_constants: of each rotor with the effects on it, N s^2/rad^2.
     hover: None for a model without effects.
+    rotor_speed_starts: where a state begins to hold the rotors' real speeds, one for each lag of the model.
     """
 
     parameters: tuple[float, ...]
     hidden_initial: tuple[float, ...]
     thrust_constants: tuple[float, ...]
     hover: Hover | None = None
+    rotor_speed_starts: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ class KernelModel(StateShape):
     hidden_initial: Floats
     thrust_constants: Floats
     trim: Trim
+    rotor_speed_places: tuple[slice, ...] = ()
 
     @classmethod
     def of(cls, vehicle: Vehicle, facts: KernelFacts) -> KernelModel:
@@ -61,7 +64,8 @@ class KernelModel(StateShape):
             else trim_at(vehicle, hover.mass, hover.thrust_constant, np.array(hover.rotor_speed))
         )
         parameters, hidden, thrust = map(np.array, (facts.parameters, facts.hidden_initial, facts.thrust_constants))
-        return cls(vehicle, parameters, hidden.astype(float), thrust, trim)
+        places = tuple(slice(start, start + vehicle.rotors.count) for start in facts.rotor_speed_starts)
+        return cls(vehicle, parameters, hidden.astype(float), thrust, trim, places)
 
 
 FlownModel = Model | KernelModel
@@ -79,6 +83,7 @@ def kernel_facts(model: Model) -> KernelFacts:
         hidden_initial=tuple(model.hidden_initial.tolist()),
         thrust_constants=tuple(model.thrust_constants.tolist()),
         hover=hover,
+        rotor_speed_starts=tuple(place.start for place in model.rotor_speed_places),
     )
 
 

@@ -315,7 +315,8 @@ class Flyer:
         climb = float(quaternion.rotate_inverse(now.attitude, velocity)[2])
         speed, sideways = float(np.linalg.norm(velocity)), (float(self._force[0]), float(self._force[1]))
         self.effectiveness.measure(force, now.time, speed, climb=climb, sideways=sideways, landing=near)
-        if (left := self._available_thrust / self._vehicle.weight) < MIN_THRUST:
+        pushed = self._vehicle.body.mass * float(np.linalg.norm(self.effectiveness.across))
+        if (left := (self._available_thrust + pushed) / self._vehicle.weight) < MIN_THRUST:
             self._pending[Event.THRUST_LOST] = f"at most {left:.2f} of the weight"
         if landing:
             return

@@ -222,8 +222,11 @@ class EffectivenessEstimator:
     is linear in the effectiveness k. Pure: times are arguments.
 
     value: k. initial: the same at lift-off.
+    across: mean specific force across the thrust over about PUSH_TIME, (2,) m/s^2. What pushes there, wind on a vehicle
+        that leans into it, may take as much from the force along the thrust, which k then shows as lost.
     """
 
+    PUSH_TIME = 0.5  # s
     SETTLING = 1.0  # s after a loss, in which the filter follows in a landing as well: a fifth of a second is noisy
 
     def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
@@ -238,6 +241,7 @@ class EffectivenessEstimator:
         """Restart from a value, as at lift-off."""
         self._settled = -inf
         self._loss = ThrustLoss()
+        self.across = np.zeros(2)
         self.value = self.initial = self._bounded(value)
         self.variance = self._settings.initial_deviation**2
         self.rejected = 0
@@ -281,6 +285,8 @@ class EffectivenessEstimator:
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
         self._time = time
         self.variance = min(self.variance + settings.process_noise**2 * elapsed, settings.initial_deviation**2)
+        if isfinite(sideways[0]) and isfinite(sideways[1]):
+            self.across += (1.0 - exp(-elapsed / self.PUSH_TIME)) * (sideways - self.across)
         # specific force at effectiveness 1: the measurement's derivative
         modelled = self._response.advance(time) / self._mass
         if not isfinite(specific_force) or modelled < 0.3 * GRAVITY:

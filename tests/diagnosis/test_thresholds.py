@@ -23,7 +23,7 @@ NO_THRESHOLDS = {
     "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "FORCE_READING", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
-    "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
+    "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES", "BY_MEANS", "TURNED",
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
     # sizes of blocks and caches, which change no number
     "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",
@@ -133,7 +133,8 @@ def test_a_wider_margin_tells_fewer_rivals_apart(answer, usual):
 
 
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):
-    lower = answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}, residual_tests={"chance": 0.999})
+    any_line = {"max_line": 1.0, "min_over_floor": 0.0}
+    lower = answer(verdict=any_line, residual_tests={"chance": 0.999}, relevance={"min_motion": 0.0})
     assert lower.verdict == "unknown"
 
 

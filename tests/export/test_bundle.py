@@ -113,6 +113,8 @@ def test_a_bundle_is_read_back_and_its_kernel_solves(export_kind: EXPORT, kind: 
     assert solver.prepare(state) == 0
     assert solver.feedback(state) in (0, 1)
     assert np.isfinite(solver.inputs).all()
+    # the vehicle's file has a lag; a network that learned it has no states of it
+    assert [len(state[place]) for place in solver.rotor_speed_places] == [4] * (bundle.model.hidden_count // 4)
 
 
 def copied(folder: Path, to: Path) -> Path:

@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.active_effect import activate
 from dynamics.errors import RequestError
-from dynamics.model import ENVIRONMENT_DEFAULT, Model
-from dynamics.own_effects import catalogue_of
+from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
 from runtime.control.kernel_model import FlownModel, trim_of
@@ -149,7 +147,7 @@ class RtiSolver:
         self._shares_at = address(self._shares.ctypes.data)
         self._segments, self._segment_seconds = np.zeros((MAX_SEGMENTS, inputs)), np.zeros(MAX_SEGMENTS)
         self._segments_at = address(self._segments.ctypes.data), address(self._segment_seconds.ctypes.data)
-        self.rotor_speed_places = _speed_places(model)
+        self.rotor_speed_places = model.rotor_speed_places
         self._lagged = self.rotor_speed_places[-1].start if self.rotor_speed_places else -1
         self.follows = hasattr(self._code, "rti_fly")
         self._references_at = (
@@ -408,11 +406,3 @@ class RtiSolver:
         pointer = getattr(self._code, function)
         pointer.restype, pointer.argtypes = ctypes.POINTER(kind), (ctypes.c_void_p,)
         return np.ctypeslib.as_array(pointer(self._handle), shape=shape)
-
-
-def _speed_places(model: FlownModel) -> tuple[slice, ...]:
-    """Where a model's state holds the rotors' real speeds: a place for each lag of theirs."""
-    if isinstance(model, Model):  # with the catalogue that it was built with
-        return model.rotor_speed_places
-    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
-    return tuple(item.hidden[item.effect.rotor_speed_state] for item in active if item.effect.rotor_speed_state)
