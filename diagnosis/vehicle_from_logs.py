@@ -86,9 +86,9 @@ def layout_of(flights: Sequence[Flight], frame: str | None = None, autopilot: st
     Raises DataError where they state none and no frame is given, RequestError where they differ.
     """
     if frame is not None:
-        given = stated_layout(flights, frame, autopilot)
+        of_frame = stated_layout(flights, frame, autopilot)
         if not any(states_rotors(flight.parameters) for flight in flights):
-            return given
+            return of_frame
     elif autopilot is not None:
         raise RequestError("--autopilot numbers the motors of a --frame. Give both, or neither.")
     layouts = {f.provenance.path: rotor_layout(f.parameters, _vehicle_type(f.metadata)) for f in flights}
@@ -103,7 +103,7 @@ def layout_of(flights: Sequence[Flight], frame: str | None = None, autopilot: st
     for path, layout in stated.items():
         if (layout.position, layout.spin) != (stated[first].position, stated[first].spin):
             raise RequestError(f"{first} and {path} are of vehicles with other rotors. Give the logs of one vehicle.")
-    if frame is not None and not _same_shape(stated[first], given):
+    if frame is not None and not _same_shape(stated[first], of_frame):
         raise RequestError(
             f"{first}: {stated[first].origin} state other rotors than a {frame}. "
             "Leave --frame out: the parameters count."

@@ -35,7 +35,7 @@ def stated_layout(flights: Sequence[Flight], frame: str, autopilot: str | None =
     name = frame.lower().replace("-", "_").replace("octo_", "octa_")
     if name not in FRAMES:
         raise RequestError(f"unknown frame {frame!r}{nearest(name, FRAMES)}. Known: {', '.join(FRAMES)}.")
-    known, count = FRAMES[name], len(FRAMES[name].angle)
+    stated, count = FRAMES[name], len(FRAMES[name].angle)
     for flight in flights:
         logged = {flight[q].shape[1] for q in ROTORS if flight.has(q)}
         if logged and logged != {count}:
@@ -47,15 +47,15 @@ def stated_layout(flights: Sequence[Flight], frame: str, autopilot: str | None =
     if named in OWN_NUMBERS and name != "quad_x":
         raise RequestError(f"the motor numbers of {named} are known for a quad_x, and not for {name}. Give quad_x, or "
                            f"--autopilot {PX4} where {PX4} numbers the motors.")  # fmt: skip
-    numbers = OWN_NUMBERS.get(named, known.motor)
-    columns = {_places_read(flight, known, numbers) for flight in flights}
+    numbers = OWN_NUMBERS.get(named, stated.motor)
+    columns = {_places_read(flight, stated, numbers) for flight in flights}
     if len(columns) > 1:
         raise RequestError("the logs hold the rotors in different orders. Give logs of one format.")
     (places,) = columns
     return RotorLayout(
         autopilot=named,
-        position=tuple(known.direction[place] for place in places),
-        spin=tuple(known.spin[place] for place in places),
+        position=tuple(stated.direction[place] for place in places),
+        spin=tuple(stated.spin[place] for place in places),
         motor=tuple(numbers[place] for place in places),
         in_metres=False,
         torque_ratio=None,

@@ -120,8 +120,8 @@ def from_log(
         mapping=mapping,
     )
     if not made.draft.is_complete:
-        given = [("--arm", arm), ("--frame", frame), ("--autopilot", autopilot)]
-        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options(given)]
+        layout_options = [("--arm", arm), ("--frame", frame), ("--autopilot", autopilot)]
+        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options(layout_options)]
         _report(made.draft, None, json, words)
         return
     path = out or Path(f"{name}.toml")

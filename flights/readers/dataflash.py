@@ -52,8 +52,8 @@ def read(source: Source) -> LogContent:
     content = read_messages(source.file, {*_FIELDS, "PARM", "ESC"})
     for name, value in _parameters(content.messages.get("PARM")):
         assembly.parameters[name] = value
-    kept = {kind: _timed(kind, rows, assembly) for kind, rows in content.messages.items() if kind != "PARM"}
-    dropped = sum(len(content.messages[kind].rows) - len(rows.rows) for kind, rows in kept.items() if rows is not None)
+    timed = {kind: _timed(kind, rows, assembly) for kind, rows in content.messages.items() if kind != "PARM"}
+    dropped = sum(len(content.messages[kind].rows) - len(rows.rows) for kind, rows in timed.items() if rows is not None)
     if content.damaged:
         places = f"{content.damaged} place{'s' * (content.damaged > 1)}"
         assembly.repair("damaged_messages", f"damaged at {places}: {content.skipped} bytes skipped")
@@ -61,8 +61,8 @@ def read(source: Source) -> LogContent:
         assembly.repair("damaged_messages", f"{dropped} message{'s' * (dropped > 1)} with an impossible time skipped")
     if content.torn:
         assembly.repair("torn_end", "the log ends within a message; read up to there")
-    speeds = kept.pop("ESC", None)
-    collected = {kind: _first_instance(rows) for kind, rows in kept.items() if rows is not None}
+    speeds = timed.pop("ESC", None)
+    collected = {kind: _first_instance(rows) for kind, rows in timed.items() if rows is not None}
     collected = {kind: rows for kind, rows in collected.items() if len(rows.rows)}
     _add_streams(assembly, collected)
     _add_rotors(assembly, collected, {} if speeds is None else _by_esc(speeds))

@@ -75,15 +75,15 @@ def test_a_dataflash_log_is_read_around_its_damage(tmp_path: Path) -> None:
     intact, damaged = tmp_path / "intact.bin", tmp_path / "damaged.bin"
     intact.write_bytes(_dataflash())
     damaged.write_bytes(_dataflash()[:3000] + _dataflash()[3010:])
-    whole, rest = read_log(intact), read_log(damaged)
+    undamaged, rest = read_log(intact), read_log(damaged)
     assert len(rest.provenance.damage) == 1
     assert "damaged at 1 place" in rest.provenance.damage[0]
-    for stream in whole.streams:
-        kept = rest.stream(stream.name)
-        assert kept is not None
-        assert len(stream.time) - 2 <= len(kept.time) <= len(stream.time)
-        at = np.searchsorted(stream.time, kept.time + rest.start - whole.start - 1e-7)
-        np.testing.assert_allclose(kept.values, stream.values[at])
+    for stream in undamaged.streams:
+        remaining = rest.stream(stream.name)
+        assert remaining is not None
+        assert len(stream.time) - 2 <= len(remaining.time) <= len(stream.time)
+        at = np.searchsorted(stream.time, remaining.time + rest.start - undamaged.start - 1e-7)
+        np.testing.assert_allclose(remaining.values, stream.values[at])
 
 
 def test_the_damage_of_a_tlog_is_shown(tmp_path: Path) -> None:

@@ -52,9 +52,9 @@ def is_printed(line: Shown, output: str) -> bool:
 
 def _is_row(line: Shown, row: str) -> bool:
     """Whether the first cells of a table's row are those of the line."""
-    wanted, cells = _cells(line.text), _cells(row)
-    return len(wanted) <= len(cells) and all(
-        _is_text(Shown(text, line.tolerance), cell, whole=True) for text, cell in zip(wanted, cells, strict=False)
+    expected, cells = _cells(line.text), _cells(row)
+    return len(expected) <= len(cells) and all(
+        _is_text(Shown(text, line.tolerance), cell, is_all=True) for text, cell in zip(expected, cells, strict=False)
     )
 
 
@@ -63,7 +63,7 @@ def _cells(row: str) -> list[str]:
     return [" ".join(cell.split()) for cell in COLUMN.split(row.strip().strip("│┃"))]
 
 
-def _is_text(line: Shown, printed: str, *, whole: bool = False) -> bool:
+def _is_text(line: Shown, printed: str, *, is_all: bool = False) -> bool:
     text = " ".join(line.text.split())
     numbers = list(re.finditer(NUMBER, text))
     pattern, end = "", 0
@@ -71,31 +71,31 @@ def _is_text(line: Shown, printed: str, *, whole: bool = False) -> bool:
         pattern += re.escape(text[end : number.start()]) + f"({NUMBER})"
         end = number.end()
     pattern += re.escape(text[end:])
-    places = re.finditer(f"^{pattern}$" if whole else pattern, printed)
+    places = re.finditer(f"^{pattern}$" if is_all else pattern, printed)
     return any(
         all(
-            _is_near(number.group(), found, text, number, line.tolerance)
-            for number, found in zip(numbers, place.groups(), strict=True)
+            _is_near(number.group(), number_printed, text, number, line.tolerance)
+            for number, number_printed in zip(numbers, place.groups(), strict=True)
         )
         for place in places
     )
 
 
 def _is_near(shown: str, printed: str, text: str, place: re.Match[str], stated: float | None) -> bool:
-    wanted, actual = float(shown), float(printed)
+    expected, actual = float(shown), float(printed)
     decimals = len(shown.partition("e")[0].partition(".")[2])
     rounding = 0.5 * 10.0**-decimals if decimals and "e" not in shown else 0.0
     kind = _kind(text, place)
     if kind == "count" and not re.fullmatch(r"[-+]?\d+", printed):
         kind = "value"  # which happened to be whole
     if kind == "count":
-        return wanted == actual
+        return expected == actual
     if kind == "share":
-        return abs(wanted - actual) <= POINTS + rounding
+        return abs(expected - actual) <= POINTS + rounding
     if stated is not None:
-        return abs(wanted - actual) <= stated * abs(wanted) + rounding
-    allowed = RELATIVE[kind] * abs(wanted) + rounding
-    return abs(wanted - actual) <= (max(allowed, 1.0) if kind == "time" and not decimals else allowed)
+        return abs(expected - actual) <= stated * abs(expected) + rounding
+    allowed = RELATIVE[kind] * abs(expected) + rounding
+    return abs(expected - actual) <= (max(allowed, 1.0) if kind == "time" and not decimals else allowed)
 
 
 def _kind(text: str, place: re.Match[str]) -> str:
