@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from diagnosis.data.dataset import read_flights
 from diagnosis.thresholds import DEFAULT
 from diagnosis.vehicle_identification import Constant, Identification, identify_vehicle, with_yaw_inertia
+from dynamics.autopilot_frames import FRAMES
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
 from dynamics.vehicle import GRAVITY, Body, Rotors, Vehicle
@@ -17,9 +19,11 @@ from dynamics.vehicle_draft import Draft, Entry
 from dynamics.vehicle_plausibility import require_carried, require_in_range
 from dynamics.vehicle_sizing import YAW_INERTIA, YAW_SPREAD, inertia_by_rule, inertia_entry
 from flights import Flight
-from flights.rotor_layout import RotorLayout, rotor_layout
+from flights.rotor_layout import RotorLayout, rotor_layout, states_rotors
+from flights.stated_frame import stated_layout
 
 LIMITS = DEFAULT.vehicle
+MAX_TURN = math.radians(20.0)  # of a rotor's place about the centre from that of a frame
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ def vehicle_from_logs(
     arm: float | None = None,
     propeller: float | None = None,
     speed_max: float | None = None,
+    frame: str | None = None,
+    autopilot: str | None = None,
     mapping: str | Path | None = None,
     command: str = "",
     progress: Progress = no_progress,
@@ -51,13 +57,15 @@ def vehicle_from_logs(
 
     mass: kg, as flown; None leaves it open. arm: from the centre to the outermost motor's axis, m; None: by the
     parameters. propeller: diameter, m. speed_max: of a rotor at full signal, rad/s, for logs without rotor speeds.
+    frame: name in `dynamics.autopilot_frames.FRAMES`, for logs whose parameters state no layout. autopilot: whose motor
+    numbers the file has; by default that of the logs.
 
     Raises RequestError for logs that cannot be used, DataError where they state no layout or hold no flight.
     """
     _require_positive({"mass": mass, "arm": arm, "propeller": propeller, "speed_max": speed_max})
     require_in_range(mass=mass, arm=arm, propeller=propeller)
     flights = read_flights(logs, mapping=mapping, progress=part_of(progress, 0.0, 0.4))
-    layout = layout_of(flights)
+    layout = layout_of(flights, frame, autopilot)
     position = _positions(layout, arm)
     start = _start(name, mass or 1.0, position, layout, speed_max)
     require_carried(start.body.mass, start.rotors, name)
@@ -72,21 +80,46 @@ def vehicle_from_logs(
     return LogVehicle(draft, layout, identified)
 
 
-def layout_of(flights: Sequence[Flight]) -> RotorLayout:
-    """The layout that all of these flights' parameters state. Raises DataError where they state none or differ."""
+def layout_of(flights: Sequence[Flight], frame: str | None = None, autopilot: str | None = None) -> RotorLayout:
+    """The layout that all of these flights' parameters state, or else that of a frame.
+
+    Raises DataError where they state none and no frame is given, RequestError where they differ.
+    """
+    if frame is not None:
+        of_frame = stated_layout(flights, frame, autopilot)
+        if not any(states_rotors(flight.parameters) for flight in flights):
+            return of_frame
+    elif autopilot is not None:
+        raise RequestError("--autopilot numbers the motors of a --frame. Give both, or neither.")
     layouts = {f.provenance.path: rotor_layout(f.parameters, _vehicle_type(f.metadata)) for f in flights}
     stated = {path: layout for path, layout in layouts.items() if layout is not None}
     if not stated:
         raise DataError(
             f"{next(iter(layouts))}: its parameters state no layout of rotors (PX4: CA_ROTORn_PX, PY, KM; ArduPilot: "
-            "FRAME_CLASS and FRAME_TYPE of a plus, X or H frame). Make a file with `alula vehicle new`, and compare it "
-            "with the logs by `alula vehicle check`."
+            f"FRAME_CLASS and FRAME_TYPE of a plus, X or H frame). Give --frame ({', '.join(FRAMES)}) and --arm; or "
+            "make a file with `alula vehicle new`, and compare it with the logs by `alula vehicle check`."
         )
     first = next(iter(stated))
     for path, layout in stated.items():
         if (layout.position, layout.spin) != (stated[first].position, stated[first].spin):
             raise RequestError(f"{first} and {path} are of vehicles with other rotors. Give the logs of one vehicle.")
+    if frame is not None and not _same_shape(stated[first], of_frame):
+        raise RequestError(
+            f"{first}: {stated[first].origin} state other rotors than a {frame}. "
+            "Leave --frame out: the parameters count."
+        )
     return stated[first]
+
+
+def _same_shape(layout: RotorLayout, other: RotorLayout) -> bool:
+    """Whether rotors turn the same way and stand in the same directions from the centre, within 20 degrees."""
+    if layout.spin != other.spin:
+        return False
+    bearings = (
+        (math.atan2(y, x), math.atan2(v, u))
+        for (x, y, _), (u, v, _) in zip(layout.position, other.position, strict=True)
+    )
+    return all(abs(math.remainder(a - b, math.tau)) < MAX_TURN for a, b in bearings)
 
 
 def _vehicle_type(metadata: Mapping[str, str]) -> int | None:
@@ -160,11 +193,12 @@ def _entries(
         "body.mass", mass, "kg", "given" if mass is not None else "assumed", "given" if mass else "open: weigh it"
     )
     yield _inertia(identified, start, per_mass)
-    places = f"{layout.origin} of {layout.autopilot}"
+    source: Literal["given", "parameters"] = "given" if layout.is_given else "parameters"
+    places = f"{layout.origin} of {layout.autopilot}" if source == "parameters" else layout.origin
     scaling = f", scaled to the arm of {arm:g} m that was given" if arm is not None else ""
-    yield Entry("rotors.position", [list(p) for p in position], "m, body FLU", "parameters", places + scaling)
-    yield Entry("rotors.spin", list(layout.spin), "sign of the reaction torque about body z", "parameters", places)
-    yield Entry("rotors.motor", list(layout.motor), f"{layout.autopilot}'s motor numbers", "parameters", places)
+    yield Entry("rotors.position", [list(p) for p in position], "m, body FLU", source, places + scaling)
+    yield Entry("rotors.spin", list(layout.spin), "sign of the reaction torque about body z", source, places)
+    yield Entry("rotors.motor", list(layout.motor), f"{layout.autopilot}'s motor numbers", source, places)
     yield from _thrust_entries(identified, rotors, per_mass)
     yield _speed_entry(identified, rotors, speed)
     if propeller is not None:

@@ -1,6 +1,7 @@
 """Frames of multirotors as the autopilots number and turn their motors.
 
-Source: ArduPilot, AP_MotorsMatrix.cpp; PX4's airframes of the same names agree with it.
+Source: ArduPilot, AP_MotorsMatrix.cpp; PX4's airframes of the same names agree with it, in places, numbers and turns.
+Crazyflie and Betaflight (propellers in) turn the rotors of a quad x as these do, and number them otherwise.
 """
 
 from __future__ import annotations
@@ -28,10 +29,15 @@ class Frame:
     order: tuple[int, ...]
 
     @property
+    def directions(self) -> tuple[Vector3, ...]:
+        """Unit vectors from the centre to each motor, in the autopilot's order, body FLU."""
+        angles = [math.radians(angle) for angle in self.angle]
+        return tuple((_clean(math.cos(a)), _clean(-math.sin(a)), 0.0) for a in angles)
+
+    @property
     def direction(self) -> tuple[Vector3, ...]:
         """Unit vectors from the centre to each rotor, body FLU."""
-        angles = [math.radians(self.angle[motor]) for motor in self.order]
-        return tuple((_clean(math.cos(a)), _clean(-math.sin(a)), 0.0) for a in angles)
+        return tuple(self.directions[motor] for motor in self.order)
 
     @property
     def spin(self) -> tuple[int, ...]:
@@ -64,6 +70,9 @@ FRAMES: Mapping[str, Frame] = {
     "octa_plus": _frame((0, 180, 45, 135, -45, -135, -90, 90), (CW, CW, CCW, CCW, CCW, CCW, CW, CW)),
     "octaquad_x": _frame((45, -45, -135, 135, -45, 45, 135, -135), (CCW, CW, CCW, CW, CCW, CW, CCW, CW)),
 }
+AUTOPILOTS = ("PX4", "ArduPilot", "Crazyflie", "Betaflight")
+# motor numbers of front left, back left, back right and front right, of autopilots that number a quad x by themselves
+OWN_NUMBERS: Mapping[str, tuple[int, ...]] = {"Crazyflie": (4, 3, 2, 1), "Betaflight": (4, 3, 1, 2)}
 ARDUPILOT_CLASSES: Mapping[int, str] = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad"}  # FRAME_CLASS
 ARDUPILOT_TYPES: Mapping[int, str] = {0: "plus", 1: "x", 3: "h"}  # FRAME_TYPE
 

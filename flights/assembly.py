@@ -15,7 +15,7 @@ from flights.quantities import PRIMARY, QUANTITIES, ROTORS
 from flights.source import MAX_STEP_BACK
 
 MAX_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
-STRAY_BY = 1.0  # s that a single stamp may lie away from those around it,
+STRAY_PERIODS = 3  # that a single stamp lies away from those around it, where that is more than MAX_STEP_BACK; or
 STRAY_END = 3600.0  # s, and at the ends, where a late first or last sample is usual
 MAX_STRAY = 0.02  # share of stray rows above which the stamps are not damaged but another clock's
 _MIN_TO_JUDGE = 10
@@ -216,7 +216,9 @@ def _stray(time: Floats) -> NDArray[np.bool_]:
     around = np.stack([np.roll(time, shift) for shift in (-2, -1, 0, 1, 2)])
     off = np.abs(time - np.median(around, axis=0))
     period = float(np.median(np.abs(np.diff(time))))
-    stray[2:-2] = off[2:-2] > STRAY_BY + 20 * period  # where the clock runs forwards, a row is its own median
+    stray[2:-2] = off[2:-2] > max(
+        MAX_STEP_BACK, STRAY_PERIODS * period
+    )  # where the clock runs forwards, a row is its own median
     for end, inner in ((slice(0, 2), time[2:5]), (slice(-2, None), time[-5:-2])):
         stray[end] = np.abs(time[end] - np.median(inner)) > STRAY_END + 1000 * period
     return stray if stray.mean() < MAX_STRAY else np.zeros(len(time), dtype=bool)

@@ -16,7 +16,10 @@ from dynamics.arrays import Floats
 from flights.quantities import PRIMARY, QUANTITIES, Quantity
 
 # names of repairs that leave something out
-DAMAGE = ("torn_gzip", "torn_rows", "torn_end", "damaged_messages", "stream_cut", "stream_left_out")
+DAMAGE = (
+    "torn_gzip", "torn_rows", "torn_record", "torn_end", "damaged_messages", "damaged_frames", "skipped_bytes",
+    "checksum_failed", "stream_cut", "stream_left_out",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
@@ -78,16 +82,18 @@ def _in_pool(
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
     context = multiprocessing.get_context("spawn")
     started = context.Event()
-    pool = ProcessPoolExecutor(
-        count, mp_context=context, initializer=_begin, initargs=(started, approved_here(), chosen_system())
-    )
+    ending, held_open = context.Pipe(duplex=False)
+    initial = (started, approved_here(), chosen_system(), ending)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=initial)
     running: dict[Future[Result], int] = {}
     try:
         while waiting or running:
             while waiting and len(running) < count:  # no more at once, so that few are suspected when one is killed
                 place = waiting.popleft()
                 try:
-                    running[pool.submit(function, items[place])] = place
+                    with _holding_interrupts():  # which a process that is starting would print a traceback of
+                        submitted = pool.submit(function, items[place])
+                    running[submitted] = place
                 except BrokenProcessPool:
                     _require_started(started)
                     return [*running.values(), place]
@@ -99,16 +105,34 @@ def _in_pool(
             if any(done in running for done in finished):
                 _require_started(started)
                 return list(running.values())
+    except (KeyboardInterrupt, GeneratorExit):  # nobody waits for the items that are running
+        held_open.close()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+        held_open.close()
+        ending.close()
     return []
 
 
-def _begin(started: Event, approved: Approved, system: int | None) -> None:
+@contextmanager
+def _holding_interrupts() -> Iterator[None]:
+    """Hold interrupts back, in this thread and in the processes that it starts."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(started: Event, approved: Approved, system: int | None, ending: Connection) -> None:
+    # a terminal interrupts all processes, and the parent ends these; SIG_IGN would go on to what these start
+    signal.signal(signal.SIGINT, lambda *_: None)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     started.set()
     approve_here(approved)
     choose_system(system)
-    end_with_parent()
+    end_with_parent(ending)
 
 
 def _require_started(started: Event) -> None:
@@ -119,13 +143,17 @@ def _require_started(started: Event) -> None:
         )
 
 
-def end_with_parent() -> None:
-    """End this process with its parent: it would otherwise still write files that a resumed run takes over."""
+def end_with_parent(ending: Connection | None = None) -> None:
+    """End this process with its parent: it would otherwise still write files that a resumed run takes over.
+
+    ending: whose other end the parent closes to end it earlier.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
+    sources: list[Connection | int] = [parent.sentinel] if ending is None else [parent.sentinel, ending]
 
     def wait() -> None:
-        parent.join()
+        wait_for_any(sources)
         os._exit(1)
 
     threading.Thread(target=wait, name="end with parent", daemon=True).start()

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility, pose_source
 from flights.log import Log, LogContent, Provenance, Stream
@@ -103,7 +105,8 @@ def _format_name(source: Source) -> str:
 
 def _read(source: Source, name: str) -> LogContent:
     try:
-        return FORMATS[name].read(source)
+        with np.errstate(all="ignore"):  # numbers of damaged bytes; `Assembly` masks what is no value
+            return FORMATS[name].read(source)
     except AlulaError as error:
         raise type(error)(_naming(source.path, str(error))) from error
     except OSError:

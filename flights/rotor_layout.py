@@ -29,6 +29,7 @@ class RotorLayout:
     hover: the autopilot's hover thrust of 0 to 1; None where it is not stated.
     origin: the parameters behind it.
     notes: to the user.
+    is_given: whether the user states it, and no parameters.
     """
 
     autopilot: str
@@ -41,6 +42,7 @@ class RotorLayout:
     hover: float | None
     origin: str
     notes: tuple[str, ...] = ()
+    is_given: bool = False
 
     @property
     def arm(self) -> float:
@@ -51,6 +53,11 @@ class RotorLayout:
         """The positions with the outermost rotor at a distance from the centre, m."""
         factor = arm / self.arm
         return tuple((x * factor, y * factor, z * factor) for x, y, z in self.position)
+
+
+def states_rotors(parameters: Mapping[str, float]) -> bool:
+    """Whether parameters state a layout; PX4's usual quadrotor, assumed where they state none, is not stated."""
+    return rotor_layout(parameters) is not None
 
 
 def rotor_layout(parameters: Mapping[str, float], vehicle_type: int | None = None) -> RotorLayout | None:

@@ -68,6 +68,8 @@ def vehicle_from_logs(
     arm: float | None = None,
     propeller: float | None = None,
     speed_max: float | None = None,
+    frame: str | None = None,
+    autopilot: str | None = None,
     mapping: str | Path | None = None,
 ) -> LogVehicle:
     """A vehicle from its logs: layout by the autopilot's parameters, constants estimated from the flights.
@@ -78,6 +80,8 @@ def vehicle_from_logs(
     arm: from the centre to the outermost motor's axis, m; by default as the parameters state it.
     propeller: diameter, m.
     speed_max: of a rotor at full signal, rad/s, for logs without rotor speeds.
+    frame: as of `new_vehicle`, for logs whose parameters state no layout of rotors; needs `arm`.
+    autopilot: "px4", "ardupilot", "crazyflie" or "betaflight", whose motor numbers the file has; by default the logs'.
     mapping: column mapping (TOML) for CSV files of another tool.
 
     Returns a LogVehicle: `draft` as of `new_vehicle`, `identified` the estimates with their intervals.
@@ -96,6 +100,8 @@ def vehicle_from_logs(
         arm=arm,
         propeller=propeller,
         speed_max=speed_max,
+        frame=frame,
+        autopilot=autopilot,
         mapping=mapping,
         command=command_line(),
     )

@@ -28,7 +28,7 @@ from dynamics.workbench_install import workbench_install
 INTERRUPTED = 130  # exit code after Ctrl-C
 SUMMARY = "Identifies what a quadrotor's dynamics model is missing, and flies the better model."
 OPTIONS = {
-    "-v, --verbose": "Versions, time and exit code at the end, and the traceback of an error.",
+    "-v, --verbose": "Versions, time and exit code at the end, the traceback of an error, warnings of libraries.",
     "-q, --quiet": "Errors and JSON alone.",
     "--log-file FILE": "Append everything that is printed to this file, with time, command and exit code.",
     "--version": "Show the version and exit.",

@@ -12,6 +12,7 @@ import shlex
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,13 +23,14 @@ from alula.cli.escaping import Escaping
 SWITCHES = {"-v": "verbose", "--verbose": "verbose", "-q": "quiet", "--quiet": "quiet"}
 LOG_FILE = "--log-file"
 SECRETS = ("--token",)  # options whose values are written to no log file
+MUTING = "PYTHONWARNINGS"
 
 
 @dataclass
 class Output:
     """The options of output, and the streams that they have replaced.
 
-    verbose: print versions, time and exit code at the end, and the traceback of an error.
+    verbose: print versions, time and exit code at the end, the traceback of an error, and warnings of libraries.
     quiet: print errors and JSON alone.
     log_file: that everything printed is appended to, with time, command and exit code.
     """
@@ -56,9 +58,19 @@ class Output:
         if self._log is not None:
             stderr: Any = Printed(sys.stderr, self._log)
             self._stack.enter_context(contextlib.redirect_stderr(stderr))
+        if not self.verbose:
+            self._mute_warnings()
         escaped: Any = Escaping(sys.stdout), Escaping(sys.stderr)
         self._stack.enter_context(contextlib.redirect_stdout(escaped[0]))
         self._stack.enter_context(contextlib.redirect_stderr(escaped[1]))
+
+    def _mute_warnings(self) -> None:
+        """Keep warnings of libraries, which name their own lines of code, out of this process and those it starts."""
+        self._stack.callback(setattr, warnings, "showwarning", warnings.showwarning)
+        warnings.showwarning = lambda *_, **__: None
+        if MUTING not in os.environ:
+            self._stack.callback(os.environ.pop, MUTING, None)
+            os.environ[MUTING] = "ignore"
 
     def finish(self, code: object, error: BaseException | None = None) -> None:
         """Print what belongs to the end, and give the streams back."""

@@ -17,7 +17,7 @@ from alula.cli.intake import note_skipped, vehicle_of_logs
 from alula.cli.options import Effects, Logs, RecordedSystem, VehicleOption
 from alula.cli.options import Mapping as MappingOption
 from alula.cli.output import command, options, print_next
-from dynamics.autopilot_frames import FRAMES
+from dynamics.autopilot_frames import AUTOPILOTS, FRAMES
 from dynamics.errors import DataError, RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from dynamics.vehicle_file import find_vehicle, write_vehicle_text
@@ -91,6 +91,13 @@ def from_log(
     speed_max: Annotated[
         float | None, typer.Option(min=1.0, help="Of a rotor at full signal, rad/s, for logs without rotor speeds.")
     ] = None,
+    frame: Annotated[
+        str | None, typer.Option(help=f"For logs that state no layout of rotors, with --arm: {', '.join(FRAMES)}.")
+    ] = None,
+    autopilot: Annotated[
+        str | None,
+        typer.Option(help=f"Whose motor numbers a --frame has, by default the logs': {', '.join(AUTOPILOTS)}."),
+    ] = None,
     mapping: MappingOption = None,
     system: RecordedSystem = None,
     out: Out = None,
@@ -98,6 +105,7 @@ def from_log(
 ) -> None:
     """Make a vehicle file of logs: layout by the autopilot's parameters, constants from the flights, with intervals.
 
+    Where no parameters state the layout, as in a CSV file: --frame quad_x --arm 0.225.
     Without --mass nothing is written: flights cannot show it, and everything else scales with it.
     """
     note_skipped(logs, mapping)
@@ -108,11 +116,13 @@ def from_log(
         arm=None if arm is None else quantity(arm, "arm"),
         propeller=None if propeller is None else quantity(propeller, "propeller"),
         speed_max=speed_max,
+        frame=frame,
+        autopilot=autopilot,
         mapping=mapping,
     )
     if not made.draft.is_complete:
-        shared = options([("--arm", arm), ("--system", system)])
-        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *shared]
+        layout_options = [("--arm", arm), ("--frame", frame), ("--autopilot", autopilot), ("--system", system)]
+        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options(layout_options)]
         _report(made.draft, None, json, words)
         return
     path = out or Path(f"{name}.toml")

@@ -1,23 +1,20 @@
-"""ArduPilot DataFlash logs (.bin), read by pymavlink: NED and FRD become ENU and FLU."""
+"""ArduPilot DataFlash logs (.bin), read around damage: NED and FRD become ENU and FLU."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-from array import array
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping
 
 import numpy as np
-from pymavlink.DFReader import DFReader_binary
+from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.autopilot_frames import FRAMES, QUAD_X_ORDER, ardupilot_frame
-from dynamics.errors import DataError
 from dynamics.units import RPM
 from flights.assembly import Assembly
-from flights.library_output import captured_output
 from flights.log import LogContent
+from flights.readers.dataflash_messages import Messages, read_messages
 from flights.readers.px4_rotors import in_our_order
 from flights.source import Source
 
@@ -50,68 +47,76 @@ def matches(source: Source) -> bool:
 
 
 def read(source: Source) -> LogContent:
-    """The streams of a DataFlash log. Raises DataError when it cannot be read."""
+    """The streams of a DataFlash log; damaged messages are skipped and counted."""
     assembly = Assembly()
-    with captured_output() as printed:  # pymavlink prints a line for every damaged byte
-        log = DFReader_binary.__new__(DFReader_binary)  # in two steps: one that fails would leave its file open
-        try:
-            log.__init__(os.fspath(source.file), zero_time_base=True)
-            collected, speeds = _collect(log, assembly)
-        except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
-            raise DataError(f"this DataFlash log cannot be read ({error!r}): it is cut off or damaged.") from None
-        finally:
-            for held in ("data_map", "filehandle"):
-                with contextlib.suppress(AttributeError, BufferError):  # never opened, or still viewed by the error
-                    getattr(log, held).close()
-    if printed.first_line:
-        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {printed.first_line}")
+    content = read_messages(source.file, {*_FIELDS, "PARM", "ESC"})
+    for name, value in _parameters(content.messages.get("PARM")):
+        assembly.parameters[name] = value
+    timed = {kind: _timed(kind, rows, assembly) for kind, rows in content.messages.items() if kind != "PARM"}
+    dropped = sum(len(content.messages[kind].rows) - len(rows.rows) for kind, rows in timed.items() if rows is not None)
+    if content.damaged:
+        places = f"{content.damaged} place{'s' * (content.damaged > 1)}"
+        assembly.repair("damaged_messages", f"damaged at {places}: {content.skipped} bytes skipped")
+    if dropped:
+        assembly.repair("damaged_messages", f"{dropped} message{'s' * (dropped > 1)} with an impossible time skipped")
+    if content.torn:
+        assembly.repair("torn_end", "the log ends within a message; read up to there")
+    speeds = timed.pop("ESC", None)
+    collected = {kind: _first_instance(rows) for kind, rows in timed.items() if rows is not None}
+    collected = {kind: rows for kind, rows in collected.items() if len(rows.rows)}
     _add_streams(assembly, collected)
-    _add_rotors(assembly, collected, speeds)
+    _add_rotors(assembly, collected, {} if speeds is None else _by_esc(speeds))
     return assembly.finish()
 
 
-class _Rows:
-    """Rows of one message: microseconds since boot and numbers."""
-
-    def __init__(self) -> None:
-        self.stamps = array("q")
-        self.numbers = array("d")
-
-    def add(self, stamp: int, numbers: Sequence[float]) -> None:
-        self.stamps.append(stamp)
-        self.numbers.extend(float(number) for number in numbers)
-
-    @property
-    def table(self) -> Floats:
-        return np.array(self.numbers).reshape(len(self.stamps), -1)
+def _parameters(rows: Messages | None) -> Iterator[tuple[str, float]]:
+    if rows is not None and rows.has("Name") and rows.has("Value"):
+        pairs = zip(rows.texts("Name"), rows.numbers("Value").tolist(), strict=True)
+        yield from ((name, value) for name, value in pairs if math.isfinite(value))
 
 
-def _collect(log: DFReader_binary, assembly: Assembly) -> tuple[dict[str, _Rows], dict[int, _Rows]]:
-    collected: dict[str, _Rows] = {}
-    speeds: dict[int, _Rows] = {}
-    while (message := log.recv_match(type=[*_FIELDS, "PARM", "ESC"])) is not None:
-        kind = message.get_type()
-        if kind == "PARM":
-            assembly.parameters[str(message.Name)] = float(message.Value)
-        elif not hasattr(message, "TimeUS"):
-            assembly.note(f"{kind} has no TimeUS, as of ArduPilot before 2015, and is left out")
-        elif not 0 <= message.TimeUS < _LATEST_STAMP:
-            assembly.repair("damaged_messages", f"{kind}: messages with an impossible time dropped")
-        elif kind == "ESC":
-            if hasattr(message, "Instance"):
-                speeds.setdefault(int(message.Instance), _Rows()).add(message.TimeUS, [message.RPM])
-        elif not any(getattr(message, name, 0) for name in _INSTANCES):
-            numbers = [getattr(message, field, np.nan) for field in _FIELDS[kind]]
-            collected.setdefault(kind, _Rows()).add(message.TimeUS, numbers)
-    return collected, speeds
+def _timed(kind: str, rows: Messages, assembly: Assembly) -> Messages | None:
+    """The messages with a time that a log can have; None where this kind has no time."""
+    if not rows.has("TimeUS"):
+        assembly.note(f"{kind} has no TimeUS, as of ArduPilot before 2015, and is left out")
+        return None
+    stamps = rows.integers("TimeUS")
+    return rows.of((stamps >= 0) & (stamps < _LATEST_STAMP))
 
 
-def _add_streams(assembly: Assembly, collected: Mapping[str, _Rows]) -> None:
+def _first_instance(rows: Messages) -> Messages:
+    """The messages of a sensor's first instance."""
+    others = [rows.integers(name) != 0 for name in _INSTANCES if rows.has(name)]
+    return rows.of(~np.any(others, axis=0)) if others else rows
+
+
+def _table(rows: Messages, kind: str) -> Floats:
+    """(n, k) the fields of a kind, NaN where the messages lack one."""
+    return np.stack([rows.numbers(field) for field in _FIELDS[kind]], axis=1)
+
+
+def _by_esc(rows: Messages) -> dict[int, Messages]:
+    if not rows.has("Instance"):
+        return {}
+    instances = rows.integers("Instance")
+    numbers, counts = np.unique(instances, return_counts=True)
+    usual = numbers[2 * counts >= counts.max(initial=0)]  # a damaged number is a rare one
+    return {int(number): rows.of(instances == number) for number in usual}
+
+
+def _nearest(rows: Messages, field: str, stamps: NDArray[np.int64]) -> Floats:
+    """(n,) a field at the messages that are nearest to stamps (n,), of which some may be lost."""
+    own = np.maximum.accumulate(rows.integers("TimeUS"))
+    middles = own[:-1] + np.diff(own) // 2
+    return rows.numbers(field)[np.searchsorted(middles, stamps)]
+
+
+def _add_streams(assembly: Assembly, collected: Mapping[str, Messages]) -> None:
     def rows(*kinds: str) -> tuple[Floats, Floats, str] | None:
         kind = next((kind for kind in kinds if kind in collected), None)
         if kind is None:
             return None
-        return assembly.seconds(np.array(collected[kind].stamps), 1_000_000), collected[kind].table, kind
+        return assembly.seconds(collected[kind].integers("TimeUS"), 1_000_000), _table(collected[kind], kind), kind
 
     if samples := rows("XKF1", "NKF1"):
         time, table, kind = samples
@@ -141,7 +146,7 @@ def _add_streams(assembly: Assembly, collected: Mapping[str, _Rows]) -> None:
         assembly.add("armed", time, table[:, 0] != 0, kind)
 
 
-def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapping[int, _Rows]) -> None:
+def _add_rotors(assembly: Assembly, collected: Mapping[str, Messages], speeds: Mapping[int, Messages]) -> None:
     parameters = assembly.parameters
     frame = ardupilot_frame(int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", -1)))
     order = QUAD_X_ORDER if frame is not None and FRAMES[frame].order == QUAD_X_ORDER else None
@@ -154,15 +159,15 @@ def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapp
         }
         motors = [channels[motor] for motor in range(8) if motor in channels]
         if motors:
-            pulses = collected["RCOU"].table[:, motors]
+            pulses = _table(collected["RCOU"], "RCOU")[:, motors]
             command = np.clip((pulses - low) / (high - low), 0.0, 1.0)
-            time = assembly.seconds(np.array(collected["RCOU"].stamps), 1_000_000)
+            time = assembly.seconds(collected["RCOU"].integers("TimeUS"), 1_000_000)
             assembly.add("rotor_command", time, in_our_order(command, order), "RCOU")
         else:
             assembly.note("no SERVOn_FUNCTION names the motors' outputs: RCOU is left out")
     if speeds and sorted(speeds) == list(range(len(speeds))):
-        count = min(len(rows.stamps) for rows in speeds.values())
-        time = assembly.seconds(np.array(speeds[0].stamps)[:count], 1_000_000)
-        rpm = np.stack([speeds[esc].table[:count, 0] for esc in sorted(speeds)], axis=1)
+        stamps = speeds[0].integers("TimeUS")
+        time = assembly.seconds(stamps, 1_000_000)
+        rpm = np.stack([_nearest(speeds[esc], "RPM", stamps) for esc in sorted(speeds)], axis=1)
         assembly.note("the ESCs report one after the other: their speeds share the first one's time stamps")
         assembly.add("rotor_speed", time, in_our_order(rpm * RPM, order), "ESC")

@@ -5,7 +5,6 @@ Every topic keeps its own clock: the sample's time where it is logged, or else t
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import io
 import mmap
@@ -13,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+import pyulog.core
 from pyulog import ULog
 from pyulog.core import ULogException
 
@@ -46,6 +46,13 @@ _TOPICS = (
     "vehicle_rates_setpoint", "vehicle_mocap_odometry", "vehicle_gps_position", "sensor_gps",
     *ulog_rotors.TOPICS, *(old for names in TOPIC_ALIASES.values() for old in names),
 )  # fmt: skip
+
+
+def _unprinted(*_: object, **__: object) -> None:
+    """In place of `print` in pyulog, which prints errors; sys.stdout is of all threads, and stays as it is."""
+
+
+pyulog.core.print = _unprinted
 
 
 def matches(source: Source) -> bool:
@@ -88,13 +95,12 @@ class _Guarded(io.BufferedReader):
 
 
 def _parse(source: Source, assembly: Assembly) -> ULog:
-    printed = io.StringIO()  # pyulog prints errors
     try:
-        with contextlib.redirect_stdout(printed), _Guarded(io.FileIO(source.file)) as stream:
+        with _Guarded(io.FileIO(source.file)) as stream:
             log = ULog(stream, message_name_filter_list=list(_TOPICS))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
-    if log.file_corruption or "corrupt" in printed.getvalue().lower():
+    if log.file_corruption:
         assembly.repair("damaged_messages", "parts of the ULog are damaged; read around them")
     if _is_torn(source.file):
         assembly.repair("torn_end", "the ULog ends within a message; read up to there")

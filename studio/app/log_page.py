@@ -12,6 +12,7 @@ import msgspec
 import plotly.graph_objects as go
 from dash import Input, Output, State, dcc, html, no_update
 
+from dynamics.autopilot_frames import FRAMES
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
 from dynamics.vehicle_file import vehicle_name, with_effect_files, without_effect_files
@@ -146,6 +147,13 @@ def _vehicle_choice(opened: OpenCase, name: str) -> list[Any]:
         [
             dmc.TextInput(id={"field": "made-name"}, label="Name", value="vehicle", w=130),
             dmc.NumberInput(id={"field": "made-mass"}, label="Mass as flown, kg", min=0, step=0.01, w=150),
+            dmc.Select(
+                id={"field": "made-frame"},
+                label="Frame (if not in the log)",
+                data=list(FRAMES),
+                clearable=True,
+                w=180,
+            ),
             dmc.NumberInput(id={"field": "made-arm"}, label="Arm, m (if not in the log)", min=0, step=0.005, w=190),
             dmc.NumberInput(id={"field": "made-speed"}, label="Full rotor speed, rad/s", min=0, step=10, w=180),
             action("make-vehicle", "Make it from the log", variant="light"),
@@ -334,6 +342,7 @@ def change(opened: OpenCase, act: str, value: str, fields: dict[str, Any]) -> No
         opened.make_vehicle(
             name,
             _making(case, fields, case.folder / f"{name}.toml"),
+            frame=str(fields.get("made-frame") or ""),
             mass=_number(fields.get("made-mass")),
             arm=_number(fields.get("made-arm")),
             speed_max=_number(fields.get("made-speed")),
@@ -377,7 +386,13 @@ def use_flown_vehicle(opened: OpenCase, log: str) -> None:
 
 def _making(case: Case, fields: dict[str, Any], path: Path) -> str:
     """The command line that makes the same vehicle."""
-    options = {"--name": "made-name", "--mass": "made-mass", "--arm": "made-arm", "--speed-max": "made-speed"}
+    options = {
+        "--name": "made-name",
+        "--mass": "made-mass",
+        "--frame": "made-frame",
+        "--arm": "made-arm",
+        "--speed-max": "made-speed",
+    }
     words = ["alula", "vehicle", "from-log", *map(str, case.log_paths)]
     words += [w for option, field in options.items() if fields.get(field) for w in (option, str(fields[field]))]
     words += ["--mapping", str(case.mapping_path)] if case.mapping_path else []

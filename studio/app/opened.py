@@ -80,10 +80,11 @@ class OpenCase:
         name = ":".join(filter(None, (step, effect or reference)))
         self._enqueue(name, self._task(step, name, effect=effect, reference=reference))
 
-    def make_vehicle(self, name: str, command: str, **numbers: float | None) -> None:
+    def make_vehicle(self, name: str, command: str, frame: str = "", **numbers: float | None) -> None:
         """Begin to make a vehicle of the logs; it becomes the case's unless another one is asked for meanwhile.
 
         numbers: mass (kg), arm (m) and speed_max (rad/s), None where they are not given. command: that makes the same.
+        frame: empty where the logs state the layout.
         Raises RequestError for numbers that no vehicle has.
         """
         if not self.case.state.logs:
@@ -94,9 +95,11 @@ class OpenCase:
         require_in_range(mass=measured["mass"], arm=measured.get("arm"))
         step = f"make:{name}"
         task = self._task("check", step, effect="", reference="")  # a step that needs no vehicle either
-        key = sha256(repr((self.case.key("make"), name, sorted(measured.items()))).encode()).hexdigest()[:16]
+        key = sha256(repr((self.case.key("make"), name, frame, sorted(measured.items()))).encode()).hexdigest()[:16]
         result = str(self.case.result_folder(step, key))
-        task = msgspec.structs.replace(task, step="make", result=result, numbers=measured, name=name, command=command)
+        task = msgspec.structs.replace(
+            task, step="make", result=result, numbers=measured, name=name, frame=frame, command=command
+        )
         if self._making == result and self._is_made(result):
             return
         with self._lock:

@@ -11,14 +11,13 @@ import datetime
 import getpass
 import hashlib
 import threading
-import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import msgspec
 
-from dynamics.decoding import decode_json, editable_toml, parse_toml
+from dynamics.decoding import editable_toml, parse_toml
 from dynamics.effect_source import EffectFile, read_effect_file, read_effect_file_below
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json, write_whole

@@ -10,8 +10,8 @@ from typing import IO, Any
 
 import msgspec
 
-from dynamics.effect_source import printable
 from dynamics.decoding import decode_json
+from dynamics.effect_source import printable
 from dynamics.errors import RequestError
 from dynamics.inside import path_inside
 from studio.case.state import FORMAT, CaseState

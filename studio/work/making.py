@@ -1,4 +1,4 @@
-"""Step "make": a vehicle file from the autopilot's parameters in the logs and from the flights."""
+"""Step "make": a vehicle file from the autopilot's parameters in the logs, or a frame, and from the flights."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ def make(_: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
         mass=task.numbers.get("mass"),
         arm=task.numbers.get("arm"),
         speed_max=task.numbers.get("speed_max"),
+        frame=task.frame or None,
         mapping=task.mapping or None,
         command=task.command,
         progress=progress,

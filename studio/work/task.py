@@ -27,6 +27,7 @@ class Task(msgspec.Struct, frozen=True):
     reference: name of the manoeuvre that is flown on the mock.
     numbers: of the step, by name.
     name: of the vehicle that is made.
+    frame: of it, empty where the logs state the layout.
     command: the command line that does the same.
     """
 
@@ -47,6 +48,7 @@ class Task(msgspec.Struct, frozen=True):
     numbers: dict[str, float] = {}
     command: str = ""
     name: str = ""
+    frame: str = ""
 
 
 class Refusal(msgspec.Struct, frozen=True):

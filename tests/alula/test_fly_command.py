@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -146,3 +147,39 @@ def test_the_recorded_flight_of_the_repository_replays() -> None:
     # another processor rounds differently in the last bits; the closed loop is not closed here, so they stay small
     done = run("replay", str(RECORDED), "--tolerance", "1e-3")
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_in_the_air_lands_and_disarms(name: str, tmp_path: Path) -> None:
+    report, code = _signalled(getattr(signal, name), "in_air")
+    assert (code, report["landed"], report["landing_reason"]) == (0, True, name)
+
+
+@pytest.mark.realtime
+def test_a_second_signal_in_the_air_ends_the_stream_level() -> None:
+    report, code = _signalled(signal.SIGINT, "in_air", signal.SIGTERM)
+    assert code == 4
+    assert not report["landed"]
+
+
+def _signalled(first: signal.Signals, word: str, second: signal.Signals | None = None) -> tuple[dict[str, Any], int]:
+    """Report and exit code of a hover that is sent signals, the first one once a line holds a word."""
+    with (
+        mock_process(vehicle=FOLDER / "px4_sih.toml") as mock,
+        subprocess.Popen(
+            fly(mock.url, "--reference", "hover", "--height", "0.8", "--json"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as flight,
+    ):
+        assert flight.stderr is not None
+        assert any(word in line for line in flight.stderr)
+        flight.send_signal(first)
+        if second is not None:
+            assert any("SIG" in line for line in flight.stderr)  # the first one is heard
+            flight.send_signal(second)
+        output, notifications = flight.communicate(timeout=250)
+    assert output, notifications
+    return json.loads(output), flight.returncode

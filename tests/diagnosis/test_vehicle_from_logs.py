@@ -70,6 +70,24 @@ def test_a_log_without_a_layout_is_refused_with_what_to_do() -> None:
         vehicle_from_logs(["tests/data/crazyflie/log20.gz"], name="v", mass=0.03, arm=0.04)
 
 
+def test_a_table_without_parameters_gives_the_same_vehicle_by_its_frame(sih: LogVehicle, tmp_path: Path) -> None:
+    table = Flight.read(SIH / "textbook_1_circle.ulg.gz").to_csv(tmp_path / "flight.csv")
+    with pytest.raises(DataError, match="--frame"):
+        vehicle_from_logs([table], name="sih", mass=1.0, arm=ARM)
+    with pytest.raises(RequestError, match="--arm"):
+        vehicle_from_logs([table], name="sih", mass=1.0, frame="quad_x")
+    with pytest.raises(RequestError, match="arm = 225"):
+        vehicle_from_logs([table], name="sih", mass=1.0, frame="quad_x", arm=225.0)
+    made, other = (
+        vehicle_from_logs([table], name="sih", mass=1.0, frame="quad_x", arm=ARM).draft.vehicle,
+        sih.draft.vehicle,
+    )
+    assert np.allclose(made.rotors.position, other.rotors.position)
+    assert (made.rotors.spin, made.rotors.motor) == (other.rotors.spin, other.rotors.motor)
+    assert np.allclose(made.body.inertia, other.body.inertia, rtol=0.02)
+    assert made.rotors.thrust_max == pytest.approx(other.rotors.thrust_max, rel=0.02)
+
+
 def test_a_check_names_what_disagrees_and_by_how_much() -> None:
     vehicle = read_vehicle(find_vehicle("px4_sih"))
     rotors = msgspec.structs.replace(vehicle.rotors, position=tuple((y, x, z) for x, y, z in vehicle.rotors.position))

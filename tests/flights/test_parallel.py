@@ -145,3 +145,38 @@ def approved_of(_: int) -> tuple[tuple[str, str], ...]:
 def test_processes_have_the_approvals_of_the_call(nothing_approved: Path) -> None:
     approve_here([("effects", "a" * 64)])
     assert [result for _, result in parallel_map(approved_of, [0, 1], jobs=2)] == [(("effects", "a" * 64),)] * 2
+
+
+WAITING = """
+import sys, time
+from flights.parallel import parallel_map
+
+def wait(item):
+    print("begun", flush=True)
+    time.sleep(item)
+    return item
+
+if __name__ == "__main__":
+    list(parallel_map(wait, [WORK] * 4, jobs=2))
+"""
+WORK = 240.0  # s
+
+
+@pytest.mark.parametrize("whole_group", [False, True])
+def test_an_interrupt_does_not_wait_for_running_items(whole_group: bool, tmp_path: Path) -> None:
+    """A terminal interrupts all processes, `kill -INT` the first one alone."""
+    script = tmp_path / "waiting.py"
+    script.write_text(WAITING.replace("WORK", str(WORK)))
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
+    with subprocess.Popen(
+        [sys.executable, script],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        (os.killpg if whole_group else os.kill)(process.pid, signal.SIGINT)
+        began = time.monotonic()
+        _, wrong = process.communicate(timeout=WORK)
+        assert time.monotonic() - began < 0.2 * WORK
+    assert process.returncode != 0
+    assert wrong.count("Traceback") <= 1, wrong  # the script's own, none of a working process

@@ -1,13 +1,12 @@
 """Follows a tutorial of docs/tutorials as a reader does: every command and snippet, in order, in a folder of its own.
 
 A comment `# shorter: COMMAND` below a command, which readers see as well, is what runs in its place. A block of text
-that follows shows lines of the output; numbers may differ, and so may spaces and folding.
+that follows shows lines of the output, compared as `shown_lines` says.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -15,20 +14,20 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from tests.support.shown_lines import Shown, blocks_of, missing
+
 ROOT = Path(__file__).parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SHORTER = "# shorter: "
-NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
 PATIENCE = 280.0  # s for one block
 
 
-def blocks(name: str) -> list[tuple[str, str, list[str]]]:
+def blocks(name: str) -> list[tuple[str, str, list[Shown]]]:
     """Language, text and shown output of each block of a tutorial."""
-    steps: list[tuple[str, str, list[str]]] = []
-    for language, text in FENCED.findall((TUTORIALS / name).read_text(encoding="utf-8")):
+    steps: list[tuple[str, str, list[Shown]]] = []
+    for language, text, tolerance in blocks_of((TUTORIALS / name).read_text(encoding="utf-8")):
         if language == "text":
-            steps[-1][2].extend(text.splitlines())
+            steps[-1][2].extend(Shown(line, tolerance) for line in text.splitlines())
         else:
             steps.append((language, text, []))
     return steps
@@ -50,9 +49,8 @@ def follow(name: str, folder: Path, *, against_clock: bool) -> None:
     for language, text, shown in blocks(name):
         if needs_clock(text) == against_clock:
             output = run(language, text, folder)
-            plain = without_numbers(output)
-            missing = [line for line in shown if without_numbers(line) not in plain]
-            assert missing == [], f"{name} shows {missing}, which is not in:\n{output}"
+            others = missing(shown, output)
+            assert others == [], f"{name} shows {others}, which is not in:\n{output}"
 
 
 def run(language: str, text: str, folder: Path) -> str:
@@ -60,7 +58,7 @@ def run(language: str, text: str, folder: Path) -> str:
     script = "\n".join(shortened(text.splitlines()))
     command = [sys.executable, "-c", script] if language == "python" else ["bash", "-ec", script]
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "80", "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "240", "OMP_NUM_THREADS": "1"}
     log = folder / "output.txt"
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -83,8 +81,3 @@ def shortened(lines: list[str]) -> Iterator[str]:
         following = lines[place + 1] if place + 1 < len(lines) else ""
         if not following.startswith(SHORTER):
             yield line.removeprefix(SHORTER)
-
-
-def without_numbers(text: str) -> str:
-    """Text with every number the same, without spaces and the lines of tables."""
-    return NUMBER.sub("#", re.sub(r"[\s│┃]+", "", text))
