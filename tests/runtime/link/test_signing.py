@@ -199,6 +199,9 @@ def test_pymavlink_accepts_all_that_the_link_sends_from_every_thread() -> None:
         wait_until(lambda: vehicle.count("SET_ATTITUDE_TARGET") == 300)
         assert vehicle.mav.signing.badsig_count == vehicle.mav.signing.reject_count == 0
         assert vehicle.mav.signing.goodsig_count == len(vehicle.received)
+        # a link id for each thread: under one, a stamp that is overtaken on its way to the socket is a replay
+        assert {each.get_link_id() for each in vehicle.received if each.get_type() == "SET_ATTITUDE_TARGET"} == {1}
+        assert {each.get_link_id() for each in vehicle.received if each.get_type() != "SET_ATTITUDE_TARGET"} == {0}
         assert {"HEARTBEAT", "TIMESYNC", "STATUSTEXT"} <= {message.get_type() for message in vehicle.received}
 
 
