@@ -14,8 +14,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
-from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
@@ -82,8 +80,8 @@ def _in_pool(
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
     context = multiprocessing.get_context("spawn")
     started = context.Event()
-    ending, held_open = context.Pipe(duplex=False)
-    initial = (started, approved_here(), chosen_system(), ending)
+    others = set(multiprocessing.active_children())
+    initial = (started, approved_here(), chosen_system())
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=initial)
     running: dict[Future[Result], int] = {}
     try:
@@ -106,12 +104,11 @@ def _in_pool(
                 _require_started(started)
                 return list(running.values())
     except (KeyboardInterrupt, GeneratorExit):  # nobody waits for the items that are running
-        held_open.close()
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-        held_open.close()
-        ending.close()
     return []
 
 
@@ -125,14 +122,14 @@ def _holding_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(started: Event, approved: Approved, system: int | None, ending: Connection) -> None:
+def _begin(started: Event, approved: Approved, system: int | None) -> None:
     # a terminal interrupts all processes, and the parent ends these; SIG_IGN would go on to what these start
     signal.signal(signal.SIGINT, lambda *_: None)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     started.set()
     approve_here(approved)
     choose_system(system)
-    end_with_parent(ending)
+    end_with_parent()
 
 
 def _require_started(started: Event) -> None:
@@ -143,17 +140,13 @@ def _require_started(started: Event) -> None:
         )
 
 
-def end_with_parent(ending: Connection | None = None) -> None:
-    """End this process with its parent: it would otherwise still write files that a resumed run takes over.
-
-    ending: whose other end the parent closes to end it earlier.
-    """
+def end_with_parent() -> None:
+    """End this process with its parent: it would otherwise still write files that a resumed run takes over."""
     parent = multiprocessing.parent_process()
     assert parent is not None
-    sources: list[Connection | int] = [parent.sentinel] if ending is None else [parent.sentinel, ending]
 
     def wait() -> None:
-        wait_for_any(sources)
+        parent.join()
         os._exit(1)
 
     threading.Thread(target=wait, name="end with parent", daemon=True).start()
