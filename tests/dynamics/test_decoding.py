@@ -42,9 +42,9 @@ def _member(path: Path, content: bytes, method: int = zipfile.ZIP_STORED) -> Pat
 def test_a_damaged_file_of_arrays_is_refused_with_advice(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(path, a=np.arange(5.0))
-    whole = path.read_bytes()
+    intact = path.read_bytes()
     assert read_arrays(path, advice="")["a"][4] == 4.0
-    damaged = [whole[:40], whole[:-30], b"", b"PK\x03\x04", whole.replace(b"NUMPY", b"NUMPX")]
+    damaged = [intact[:40], intact[:-30], b"", b"PK\x03\x04", intact.replace(b"NUMPY", b"NUMPX")]
     for content in damaged:
         path.write_bytes(content)
         with pytest.raises(RequestError, match="Export again"):
