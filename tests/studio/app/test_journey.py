@@ -248,7 +248,7 @@ def test_a_picture_is_saved_as_it_is_seen(page: Page, address: str, ulogs: list[
     _wait(page, "check", "done")
     began = lines.evaluate("e => e.calcdata[0][0].x")
     lines.evaluate("e => window.Plotly.relayout(e, {'xaxis.range': [3, 5]})")
-    page.wait_for_function(f"document.querySelector('#log-lines .js-plotly-plot').calcdata[0][0].x !== {began}")
+    page.wait_for_function(f"() => document.querySelector('#log-lines .js-plotly-plot').calcdata[0][0].x !== {began}")
     picture = page.locator(".picture", has=page.locator("#log-lines"))
     for kind, magic in {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}.items():
         with page.expect_download() as saved:
