@@ -9,6 +9,7 @@ import typer
 
 import alula
 from alula.api.trusting import Trusted
+from alula.cli.output import print_next
 from dynamics.approvals import read_approvals, store_path, withdraw
 from dynamics.effect_source import printable
 from dynamics.errors import RequestError
@@ -38,6 +39,7 @@ def trust(
     for trusted in alula.trust(files):
         _print(trusted)
     print(f"approved in {store_path()}")
+    print_next("trust", "--list")
 
 
 def _print(trusted: Trusted) -> None:
