@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,14 @@ READY = """() => [...document.querySelectorAll('.js-plotly-plot')].filter(e => !
 MEASURED = Path(__file__).with_name("drawn.js").read_text(encoding="utf-8")
 
 
-def require_drawn(page: Page) -> list[str]:
-    """Fail where a picture of the page is flat, too wide, empty, cropped or without a legend. Returns their names."""
+def require_drawn(page: Page, widths: Mapping[int, int] = WIDTHS) -> list[str]:
+    """Fail where a picture of the page is flat, too wide, empty, cropped or without a legend. Returns their names.
+
+    widths: of windows, px, each with its height; every change draws all pictures anew.
+    """
     before = page.viewport_size
     names: list[str] = []
-    for width, height in WIDTHS.items():
+    for width, height in widths.items():
         page.set_viewport_size({"width": width, "height": height})
         page.wait_for_function(READY)
         plots: list[dict[str, Any]] = page.evaluate(MEASURED)

@@ -11,12 +11,13 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
-from tests.studio.app.drawn import require_drawn
+from tests.studio.app.drawn import WIDTHS, require_drawn
 from tests.support.results_on_disk import evaluation_file, fleet_folder, sweep_folder
 from training.progress_file import append, begin
 from training.reports import Report
 
 RECORDING = Path(__file__).parents[2] / "data" / "recorded_flight" / "flight.mcap"
+SCREEN = {1280: 900}  # px
 PATIENCE = 120_000  # ms on a busy machine; alone the longest step takes some seconds
 expect.set_options(timeout=PATIENCE)
 
@@ -73,6 +74,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page: Page, address: str, logs: str, request: pytest.FixtureRequest
 ) -> None:
     files: list[Path] = request.getfixturevalue(logs)
+    widths = WIDTHS if logs == "ulogs" else SCREEN  # the pictures of all three are the same
     page.goto(address)
     if logs == "csvs":  # one of them in the dark scheme, for its contrasts
         page.get_by_label("dark").check(force=True)
@@ -85,16 +87,16 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.get_by_role("option", name="px4_sih").click()
     page.get_by_role("button", name="Use it").click()
     _wait(page, "compare", "done")
-    assert require_drawn(page) == ["log-lines"]
+    assert require_drawn(page, widths) == ["log-lines"]
 
     _go(page, "check")
     expect(page.get_by_text(files[0].name).first).to_be_visible()
-    assert len(require_drawn(page)) >= 2 * len(files)
+    assert len(require_drawn(page, widths)) >= 2 * len(files)
     _require_accessible(page)
 
     _go(page, "compare")
     expect(page.locator("#compare-lines .scatterlayer .trace").first).to_be_visible()
-    assert len(require_drawn(page)) >= 7
+    assert len(require_drawn(page, widths)) >= 7
     cells = page.locator("#compare-map .heatmaplayer")
     expect(cells).to_be_visible()
     cells.scroll_into_view_if_needed()
@@ -113,14 +115,14 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.locator(".mantine-Slider-thumb").first.focus()
     page.keyboard.press("ArrowRight")
     expect(readout).not_to_have_text(best)
-    assert len(require_drawn(page)) >= 8
+    assert len(require_drawn(page, widths)) >= 8
     _require_accessible(page)
 
     _go(page, "add")
     page.get_by_role("button", name=re.compile("^Add .*linear_drag")).click()
     expect(page.locator("#falls .scatterlayer .trace").first).to_be_visible()
     expect(page.locator("#history")).to_contain_text("linear_drag")
-    assert require_drawn(page) == ["falls", "last-addition"]
+    assert require_drawn(page, widths) == ["falls", "last-addition"]
     page.get_by_role("button", name="Undo").click()
     _wait(page, "add", "open")
     page.get_by_role("button", name="Redo").click()
@@ -134,7 +136,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.get_by_role("button", name="Fly it on the mock").click()
     _require_accessible(page)
     before, after = _numbers(page.locator(".flown").inner_text())
-    assert len(require_drawn(page)) == 2
+    assert len(require_drawn(page, widths)) == 2
     assert after < 0.5 * before
 
 
