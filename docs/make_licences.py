@@ -30,7 +30,7 @@ Outside of the locks are:
   without CUDA on several indexes, and any will do. In pip's hash mode a file that an index lists with its hash comes
   before one that a folder holds: tried with the hashes of both in one lock, it took PyPI's build, with gigabytes of
   CUDA, on a machine that has the small one at hand.
-- **`make docs`**, whose packages are pinned by version in `constraints.txt`, and `pip install alula` into an
+- **`make docs`**, whose packages are pinned by version in `constraints.txt`, and an install by pip into an
   environment of your own, which pip resolves by the ranges in `pyproject.toml`.
 - **The wheel's own build** by `pip wheel`, which fetches setuptools and pymavlink by the ranges in `pyproject.toml`; in
   `make demo` and `make test` both come out of the lock (`--no-build-isolation`).

@@ -145,7 +145,7 @@ class _Delay:
 def _estimated(
     parts: Sequence[_Rows], instruments: Sequence[Floats], limits: RotorHoldThresholds
 ) -> tuple[float, float] | None:
-    """Rows by which the forcing is late, and their deviation from blocks; None where it acts the other way."""
+    """Rows by which the forcing is late, and their deviation from blocks; None where it turns nothing, or backwards."""
     y = [_centred(part.y) for part in parts]
     x = [_centred(np.hstack([part.forcing, part.others])) for part in parts]
     z = [_centred(np.hstack([own, part.others])) for own, part in zip(instruments, parts, strict=True)]
@@ -158,7 +158,9 @@ def _estimated(
     scores, inverse = np.vstack([_by_block(e, limits.block_rows) for e in errors]), np.linalg.inv(slope)
     deviation = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse.T))
     gain, change = (theta[:2] / size[:2]).tolist()
-    return (change / gain, float(deviation[1] / size[1] / gain)) if gain > 0 else None
+    if not (gain > 0 and deviation[1] > 0):
+        return None
+    return change / gain, float(deviation[1] / size[1] / gain)
 
 
 def _mean(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:

@@ -192,5 +192,5 @@ def test_what_mattered_after_all_is_not_named_where_it_has_no_one_value(monkeypa
         diagnose, "_standing_in", lambda _, accepted, __: ("drifts",) if drifts and accepted is more else ()
     )
     monkeypatch.setattr(diagnose, "with_small", lambda *_: more)
-    accepted, _ = diagnose._Judgement(None, selected, None, []).revised(few)
+    accepted, _ = diagnose._Judgement(None, None, selected, None, []).revised(few)
     assert accepted is (few if drifts else more)

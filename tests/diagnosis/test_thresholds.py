@@ -24,6 +24,7 @@ NO_THRESHOLDS = {
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "FORCE_READING", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES", "BY_MEANS", "TURNED",
+    "MAX_TURN",  # of a frame's rotors, which no verdict sees
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
     # sizes of blocks and caches, which change no number
     "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",

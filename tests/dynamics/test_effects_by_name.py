@@ -16,7 +16,7 @@ ALLOWED = {
     "alula/cli/vehicle.py": {"mass"},  # a part's number and its option
     "diagnosis/vehicle_from_logs.py": {"mass"},  # the same
     "diagnosis/vehicle_identification.py": {"thrust_constant", "torque_constant"},  # fields of a vehicle's rotors
-    "dynamics/vehicle_sizing.py": {"mass"},  # a part's number
+    "dynamics/vehicle_plausibility.py": {"mass"},  # a field of the vehicle's body
     "diagnosis/data/inspected.py": {"rotor_speed_fault"},  # the name of a finding
     "dynamics/model.py": {"mass", "thrust_constant", "centre_of_mass"},  # outputs of the model's constants
     "dynamics/references/campaign.py": {  # what the example campaign hides: a user's configuration
@@ -28,6 +28,7 @@ ALLOWED = {
     "sitl_mock/vehicle/plant.py": {"torque_constant", "gyro_bias"},  # constants of the mock's own sensors and battery
     "sitl_mock/vehicle/sensors.py": {"gyro_bias"},
     "sitl_mock/vehicle/vehicle.py": {"torque_constant"},
+    "studio/app/opened.py": {"mass"},  # a field of a form
     "studies/demo/flights.py": {"rotor_drag", "parasitic_drag"},  # what the demo hides by default
     "studies/sweep/catalogue.py": {"inertia"},  # a study's name
     "studies/sweep/cell.py": {"mass"},  # a field of the vehicle's body
