@@ -27,7 +27,7 @@ Watch = Callable[[Lockstep], None]
 def fly(controllers: Controllers, watch: Watch | None = None, *faults: Fault, seed: int = 41) -> WholeFlight:
     reference = named_reference("Circle:height=2,size=1.5,speed=2", controllers.flying.trim)
     options = MockOptions(FILE, scenario=Scenario(faults=faults), seed=seed)
-    return fly_whole(options, reference, plan=PLAN, controllers=controllers, watch=watch, limit=25.0)
+    return fly_whole(options, reference, plan=PLAN, controllers=controllers, watch=watch, limit=60.0)
 
 
 def stalls(duration: float, every: float) -> Watch:
