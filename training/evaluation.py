@@ -29,6 +29,7 @@ from training.recipe import FAST
 
 MIN_WINDOWS = 50  # windows
 NOMINAL, PLANT = "NOM", "plant"
+VEHICLE_FILE = "vehicle file"  # the kind of a vehicle file's own model
 BASE = "named effects alone"
 
 

@@ -329,7 +329,7 @@ class EvaluationResult:
 
     @property
     def of_nominal(self) -> Sequence[float]:
-        """RMSE of each model over that of the nominal model, in the order in which they were given."""
+        """RMSE of each trained model over that of the nominal model, in the order in which they were given."""
         from studies.evaluation.tables import ratios_to_nominal
 
         return ratios_to_nominal(self.report.evaluated)

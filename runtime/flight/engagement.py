@@ -143,7 +143,9 @@ class Engagement:
         self.refusal = ""
 
     def release(self, reason: str, time: float) -> tuple[Transition, ...]:
-        """Give control up on purpose: stop streaming, or withdraw the request. time: s."""
+        """Give control up on purpose: stop streaming, or withdraw the request; the first reason stands. time: s."""
+        if not (self.streaming or self._requested):
+            return ()
         self._requested = False
         self.refusal = reason
         return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()

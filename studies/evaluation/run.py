@@ -21,11 +21,18 @@ from studies.tables_page import write_tables_page
 from training import checkpoint
 from training.config import physical_config
 from training.data.logged_flights import find_logs, read_logged_flights
-from training.evaluation import PLANT, EvaluatedModel, EvaluationReport, NamedModel, evaluate, physical_model
+from training.evaluation import (
+    PLANT,
+    VEHICLE_FILE,
+    EvaluatedModel,
+    EvaluationReport,
+    NamedModel,
+    evaluate,
+    physical_model,
+)
 from training.ground_truth import campaign_of
 
 MODEL_SUFFIX = ".pt"
-VEHICLE_FILE = "vehicle file"
 MAX_PICTURES = 8  # flights
 
 

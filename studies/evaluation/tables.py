@@ -8,7 +8,7 @@ from studies import paper
 from studies.evaluation.inference import Inference
 from studies.tables import Table, TableCell
 from training.card import FlightError
-from training.evaluation import BASE, NOMINAL, PLANT, Evaluation, EvaluationReport
+from training.evaluation import BASE, NOMINAL, PLANT, VEHICLE_FILE, Evaluation, EvaluationReport
 from training.prediction import pooled
 
 
@@ -43,7 +43,7 @@ def _flights_table(evaluated: EvaluationReport, against: str, words: str) -> Tab
 
 
 def _ratio_table(evaluated: EvaluationReport) -> Table:
-    models = [model for model in evaluated.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
+    models = _learned(evaluated)
     published = {kind for row in paper.PREDICTION.values() for kind in row}
     headings = ["flight"]
     for model in models:
@@ -170,8 +170,8 @@ def summary_lines(evaluated: EvaluationReport) -> list[str]:
 
 
 def ratios_to_nominal(evaluated: EvaluationReport) -> list[float]:
-    """RMSE of each learned model over that of the nominal model."""
-    errors = [pooled(model.best_known) for model in _learned(evaluated)]
+    """RMSE of each trained model over that of the nominal model."""
+    errors = [pooled(model.best_known) for model in _learned(evaluated) if model.kind != VEHICLE_FILE]
     return [error.combined / error.nominal for error in errors]
 
 
@@ -183,6 +183,6 @@ def _sentence(model: Evaluation) -> str:
     errors = pooled(model.best_known)
     words = "the truth" if model.true else "labels"
     text = f"{model.name}: {errors.combined:.3g} RMSE against {words}, {errors.combined / errors.nominal:.3g} of NOM's"
-    if model.label and errors.base is not None and model.kind not in ("nominal", "vehicle file"):
+    if model.label and errors.base is not None and model.kind not in ("nominal", VEHICLE_FILE):
         text += f", {errors.combined / errors.base:.3g} of its base's"
     return f"{text}."
