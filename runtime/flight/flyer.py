@@ -542,7 +542,8 @@ class Flyer:
         """Level, with thrust going away, until the ground is known to carry the vehicle or not to be there."""
         assert self._state is not None
         time, ground, state = observation.time, self._ground, self._state
-        current = self._estimate is not None and self._health.is_current(self._estimate, time)
+        usable = not any(event in self.events.active for event in _UNUSABLE)
+        current = usable and self._estimate is not None and self._health.is_current(self._estimate, time)
         low = ground.may_be_near(self.mission, state, reported_landed=observation.landed)
         decision.rate_body, decision.collective_thrust, verdict = self._settling.command(
             state, ground.meter, time, current=current, low=low

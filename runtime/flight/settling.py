@@ -61,7 +61,7 @@ class Settling:
             rate = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
             if verdict is not Ground.CARRIES:
                 return rate, self._probe.thrust(time), verdict
-        turning = current and self._tilting.value > STILL
+        turning = not current or self._tilting.value > STILL  # a rate that is not known may be any
         if turning and self._carried_since is not None and time - self._carried_since < MAX_BRAKING:
             return ZERO_RATE, self._probe.thrust(time), Ground.OPEN
         return ZERO_RATE, 0.0, Ground.CARRIES
