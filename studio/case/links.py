@@ -7,19 +7,14 @@ file of this computer.
 
 from __future__ import annotations
 
-import fcntl
-import os
-import stat
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
 
-from dynamics.approvals import store_path
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.own_folder import configuration_folder, locked, make_own_folder, read_own, replace_own
 from studio.case.state import CaseLog
 
 NAME = "linked_logs.json"
@@ -61,22 +56,17 @@ def set_links(case: Path, links: Sequence[LinkedLog]) -> None:
 
 
 def _path() -> Path:
-    return store_path().with_name(NAME)
+    return configuration_folder() / NAME
 
 
 def _read() -> tuple[LinkedLog, ...]:
     try:
         path = _path()
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except (FileNotFoundError, NotADirectoryError, RuntimeError):  # RuntimeError: a user without a home
+    except RuntimeError:  # a user without a home
         return ()
-    except OSError as error:
-        raise _unusable(path, error.strerror or str(error)) from None
-    with os.fdopen(descriptor, "rb") as file:
-        for place, status in ((path.parent, os.stat(path.parent)), (path, os.fstat(descriptor))):
-            if status.st_uid not in (os.geteuid(), 0) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                raise _unusable(path, f"others may write {place}")
-        content = file.read(MAX_BYTES)
+    content = read_own(path, MAX_BYTES, _unusable)
+    if content is None:
+        return ()
     try:
         return decode_json(content, tuple[LinkedLog, ...])
     except msgspec.MsgspecError as error:
@@ -87,31 +77,13 @@ def _change(edited: Callable[[tuple[LinkedLog, ...]], list[LinkedLog]]) -> None:
     """Write the list anew, whole, one process at a time."""
     try:
         path = _path()
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with _locked(path.parent):
-            content = msgspec.json.format(msgspec.json.encode(edited(_read())), indent=1) + b"\n"
-            descriptor, part = tempfile.mkstemp(dir=path.parent, prefix=f".{NAME}-")  # of mode 600
-            try:
-                with os.fdopen(descriptor, "wb") as file:
-                    file.write(content)
-                os.replace(part, path)
-            except OSError:
-                os.unlink(part)
-                raise
+        make_own_folder(path.parent, _unusable)
+        with locked(path.parent):
+            replace_own(path, msgspec.json.format(msgspec.json.encode(edited(_read())), indent=1) + b"\n")
     except RuntimeError:
         raise RequestError("this user has no home folder. Set XDG_CONFIG_HOME to a folder of yours.") from None
     except OSError as error:
         raise RequestError(f"cannot note in {path} where a log lies: {error.strerror or error}. {ADVICE}") from error
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _unusable(path: Path, reason: str) -> RequestError:
