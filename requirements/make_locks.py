@@ -26,7 +26,7 @@ def main() -> None:
     """Resolve, split and write."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--uv", default="uv")
-    parser.add_argument("--index", default="https://pypi.org/simple")
+    parser.add_argument("--index", help="address of a package index, by default uv's own")
     arguments = parser.parse_args()
     for name, extras in EXTRAS.items():
         entries = resolved(arguments.uv, arguments.index, extras)
@@ -34,14 +34,18 @@ def main() -> None:
         (HERE / f"{name}.lock").write_text(HEAD + text, encoding="utf-8")
 
 
-def resolved(uv: str, index: str, extras: tuple[str, ...]) -> list[str]:
+def resolved(uv: str, index: str | None, extras: tuple[str, ...]) -> list[str]:
     """The requirements of some extras, each with its marker and hashes, in the order of their names."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "requirements.txt")
         options = ["--universal", "--generate-hashes", "--no-annotate", "--no-header", "--no-config", "--quiet"]
         chosen = [f"--extra={extra}" for extra in extras]
         command = [uv, "pip", "compile", "pyproject.toml", *chosen, *options, "--python-version=3.11.5"]
-        command += ["--constraints=constraints.txt", f"--index-url={index}", f"--output-file={target}"]
+        command += [
+            "--constraints=constraints.txt",
+            f"--output-file={target}",
+            *([f"--index-url={index}"] if index else []),
+        ]
         subprocess.run(command, cwd=ROOT, check=True)
         return re.findall(r"^[^\s#].*(?:\n[ \t].*)*\n", target.read_text(), re.MULTILINE)
 
