@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+import statistics
 from pathlib import Path
 
 import pytest
 
 from dynamics.errors import DataError, RequestError
+from flights.followed import TRACKED
+from runtime.record.recording import read_recording
+from runtime.record.records import TOPICS, EstimateRecord, EventRecord, PhaseRecord, ReferenceRecord, TickRecord
 from studies.results.kinds import kind_of, stamp
 from studies.results.read import show
 from tests.support.command_line import Run, command_line
@@ -71,9 +76,22 @@ def test_a_recording_shows_tracking_timing_and_states() -> None:
     shown = show(RECORDING)
     assert shown.kind == "recording"
     assert {"Tracking", "Timing"} <= set(shown.pictures)
-    assert shown.lines[0].startswith("Position error while it tracked: 5.3 cm RMS")
-    assert "1 late (link 1)" in shown.lines[1]
-    assert [table.title for table in shown.tables] == ["Timing of the ticks", "Events", "States"]
+    messages = read_recording(RECORDING).messages
+    phases = [(row["time"], row["phase"]) for row in messages[TOPICS[PhaseRecord]]]
+    begin = next(time for time, phase in phases if phase == TRACKED)
+    end = next(time for time, _ in phases if time > begin)
+    wanted = {row["time"]: row["position_world"] for row in messages[TOPICS[ReferenceRecord]]}
+    flown = {row["time"]: row["position_world"] for row in messages[TOPICS[EstimateRecord]] if row["time"] in wanted}
+    distances = [math.dist(flown[time], wanted[time]) for time in flown if begin <= time < end]
+    rms = 100 * math.sqrt(statistics.fmean(distance**2 for distance in distances))
+    assert shown.lines[0] == (
+        f"Position error while it tracked: {rms:.1f} cm RMS, {100 * max(distances):.1f} cm at most, by its estimate."
+    )
+    ticks = messages[TOPICS[TickRecord]]
+    assert f"{len(ticks):,} ticks" in shown.lines[1]
+    assert f" {sum(bool(row['late_cause']) for row in ticks)} late (" in shown.lines[1]
+    events = ["Events"] if messages.get(TOPICS[EventRecord]) else []
+    assert [table.title for table in shown.tables] == ["Timing of the ticks", *events, "States"]
 
 
 def test_a_recording_that_was_cut_off_is_shown_to_there(tmp_path: Path) -> None:
