@@ -180,7 +180,14 @@ def runs_here(text: str) -> bool:
     return not (is_linked(text) or is_served(text))
 
 
-@pytest.mark.parametrize("page", [page for page in COMMANDS if any(map(runs_here, COMMANDS[page]))])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[] if page == "README.md" else pytest.mark.slow)
+        for page in COMMANDS
+        if any(map(runs_here, COMMANDS[page]))
+    ],
+)
 def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
     for name, replacement in INSTEAD.get(page, {}).items():
         shutil.rmtree(name)
@@ -195,6 +202,7 @@ def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
         assert "Traceback" not in wrong
 
 
+@pytest.mark.slow
 def test_the_studio_of_a_page_answers_until_it_is_ended(here: Path) -> None:
     for text in (text for texts in COMMANDS.values() for text in texts if is_served(text)):
         command = [sys.executable, "-m", "alula", *words_of(text), "--cases", "cases", "--port", "0", "--no-browser"]
@@ -264,6 +272,7 @@ def start(page: str, text: str) -> str:
         return f"{page}: {text}\n{error}"
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_whatever_needs_a_vehicle_runs_beside_a_mock(here: Path, run: Run) -> None:
     jobs = {run_key(words_of(text)): (page, text) for page in COMMANDS for text in COMMANDS[page] if is_linked(text)}
