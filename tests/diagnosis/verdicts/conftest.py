@@ -1,4 +1,4 @@
-"""Cases of the verdict that `make test` tries: these sentinels. `make test-all` tries each, `make study` scores many more.
+"""Cases of the verdict that `make test` tries: these sentinels. `make test-all` tries each, `make study` many more.
 
 A sentinel stands for a kind of answer: nothing hidden, one effect, a wrong value in the file, a sensor, a foreign
 force, a late signal, logs that are refused, and real PX4.
