@@ -28,7 +28,7 @@ LONG = (
 
 
 def pytest_configure() -> None:
-    """Take signals as a terminal's shell leaves them: what a shell ignores in the background, its children ignore too."""
+    """Take signals as a terminal leaves them: what a shell ignores for a job in the background, children ignore too."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
