@@ -249,7 +249,7 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """What the residuals of an accepted fit say.
+    """Outcome of the residual tests about an accepted fit.
 
     selection: with the gust beside that fit.
     after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.

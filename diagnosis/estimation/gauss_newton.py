@@ -40,7 +40,7 @@ class Step:
 
 
 class Problem(Protocol):
-    """What is settled."""
+    """A least-squares problem with instruments."""
 
     @property
     def thresholds(self) -> EquationErrorThresholds:
@@ -61,7 +61,7 @@ class Problem(Protocol):
 
 
 def settle_from_afar(problem: Problem, start: Floats, *, hopeless: float = np.inf, goal: float = np.inf) -> Settled:
-    """The same as `settle`, where its way is not straight also from where damped steps lead, whichever fits better.
+    """Gauss-Newton (`settle`), begun again from damped steps where its way is not straight; the better of both.
 
     Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
     run out: an inertia divides the moments, and one step makes it a fifth or five times as large. hopeless: cost above

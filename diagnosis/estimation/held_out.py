@@ -31,13 +31,13 @@ Made = TypeVar("Made")
 
 
 class _OfEach(Generic[Made]):
-    """What is made of each vehicle once."""
+    """Values that are computed once for each vehicle."""
 
     def __init__(self, make: Callable[[Vehicle], Made]) -> None:
         self._make, self._made = make, dict[int, tuple[Vehicle, Made]]()
 
     def of(self, vehicle: Vehicle) -> Made:
-        """That of a vehicle."""
+        """Return the value of a vehicle."""
         if id(vehicle) not in self._made:
             self._made[id(vehicle)] = (vehicle, self._make(vehicle))
         return self._made[id(vehicle)][1]
@@ -154,11 +154,11 @@ class HeldOut:
         return self.worse_channels(before, after) | self.worse_open_loop(before, after)
 
     def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """The same of the kinds of channel."""
+        """Kinds of channel whose error rises."""
         by_kind = self.channel_changes(before, after, self.floor(after))
         return {kind: change for kind, change in by_kind.items() if change.is_worse(self._limits)}
 
     def worse_open_loop(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """The same of the open loop."""
+        """Quantities of the open loop whose error rises."""
         by_quantity = self.open_loop_changes(before, after)
         return {f"{OPEN_LOOP} {q}": c for q, c in by_quantity.items() if c.is_worse(self._limits)}

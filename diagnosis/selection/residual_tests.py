@@ -28,7 +28,7 @@ TESTS = ("low_frequency_agreement", "predictable_from_state", "spectral_line", "
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What a test finds in the channel where that is largest.
+    """Finding of a test in the channel where that is largest.
 
     test: its name, that of the statistic.
     channel: place among the twelve.
@@ -157,7 +157,7 @@ class ErringRows:
 
 
 def _explained_by_errors(regression: Regression, erring: ErringRows, thresholds: ResidualTestThresholds) -> float:
-    """What the state gains in residuals that are its own errors alone, under a model that is right.
+    """Gain of the state in residuals that are its own errors alone, under a model that is right.
 
     To a drag an error of velocity is force, which the measured velocity predicts as far as it is that error.
     """
@@ -320,7 +320,7 @@ def _halves(rows: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class _Prediction:
-    """What features predict of residuals on groups left out.
+    """Prediction of residuals by features, on groups left out.
 
     gain: in twice the log-likelihood, summed over channels.
     by_chance: the greatest such gain in residuals from elsewhere; 0 without any.
@@ -369,7 +369,7 @@ class _LeaveOneOut:
 
 @dataclass(frozen=True, eq=False)
 class _LeftOut:
-    """What ridge regressions of r residuals predict of groups that they leave out.
+    """Ridge regressions' predictions of r residuals, on groups that they leave out.
 
     gain: (r,) in twice the log-likelihood. size: (r,) squares of what is predicted. coefficients: (k, r), a group each.
     """
@@ -391,7 +391,7 @@ def _predictable(
     group_of: Sequence[int],
     elsewhere: Sequence[Sequence[Floats]] = (),
 ) -> _Prediction:
-    """What features (m, k) predict of residuals (m, 12), leaving one group out. elsewhere: others of their size."""
+    """Prediction of residuals (m, 12) by features (m, k), leaving one group out. elsewhere: surrogates (m, 12)."""
     total, by_chance, noise = 0.0, np.zeros(len(elsewhere)), regression.noise
     ridges = regression.thresholds.residual_tests.ridges
     parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}

@@ -68,7 +68,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
 
 
 class SlowMotionThresholds(ThresholdGroup, frozen=True):
-    """What slow motion leaves of a model.
+    """Slow motion's test of a model.
 
     cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
     min_share: of the instruments' scaled Gram matrix, below which its directions are none. [convention]
@@ -130,7 +130,7 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
 
 
 class RelevanceThresholds(ThresholdGroup, frozen=True):
-    """What is too small to matter, and what is chance.
+    """Smallest change that matters, and chance.
 
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
     min_motion: RMS by which an effect changes a channel over that of the motion which the model explains there, below
