@@ -44,7 +44,7 @@ Origin = Literal["takeoff", "estimate"]
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is flown besides the reference.
+    """Plan of a flight around the reference: take-off, transfers, hover, landing.
 
     height: of take-off, m.
     duration: of the reference, s; None: its own.
