@@ -133,7 +133,7 @@ class Provenance:
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What of the file is lost: cut off, torn or damaged."""
+        """Losses of the file: cut off, torn or damaged."""
         return tuple(repair.detail for repair in self.repairs if repair.name in DAMAGE)
 
 

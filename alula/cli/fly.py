@@ -166,7 +166,7 @@ def _for(reference: str, effects: str) -> str:
 def _following(
     report: FlightReport, vehicle: str | None, bundle: Path | None, record: Path | None, flown: list[object]
 ) -> list[object]:
-    """What to run next: diagnose the recording, or fly once more and record."""
+    """Next command: diagnose the recording, or fly once more and record."""
     if record is not None and report.recording:
         return ["diagnose", report.recording, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
     again = options(
