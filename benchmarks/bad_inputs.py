@@ -57,7 +57,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of it. wrong: why it does not count as handled, empty where it does."""
+    """Outcome of a command line. wrong: why it does not count as handled, empty where it does."""
 
     case: Case
     code: int
