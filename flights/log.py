@@ -171,5 +171,5 @@ class Log:
 
 
 def spanning_streams(streams: Sequence[Stream]) -> list[Stream]:
-    """Those whose time is the flight's: of motion and rotors, or all where there are none."""
+    """Streams whose time is the flight's: of motion and rotors, or all where there are none."""
     return [stream for stream in streams if stream.name in PRIMARY] or list(streams)

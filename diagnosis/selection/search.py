@@ -64,7 +64,7 @@ class _Solutions:
         return Scored(self.sets[number], float(self.scores[number]), float(self.gains[number]))
 
     def fitting(self, number: int) -> Set:
-        """Those effects of a set whose coefficients are possible in it."""
+        """Effects of a set whose coefficients are possible in it."""
         fits, fitting, start = self.fits[number], [], 0
         for candidate in self.sets[number]:
             stop = start + len(candidate.columns)
