@@ -200,7 +200,7 @@ def _ground(errors: Mapping[str, ChannelError]) -> str:
     if not fast:
         return "the sensors' noise"
     names = " and ".join(map(channel_name, fast))
-    return f"what no effect of the catalogue makes; in {names} that is mostly fast and no sensor's noise"
+    return f"a residual that no catalogued effect explains, in {names} mostly fast and above the sensors' noise"
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -213,8 +213,8 @@ def _gain_sentence(gain: CommandGain | None) -> str:
         return ""
     return (
         f" The rotors give {gain.value:.3g} ± {1.96 * gain.std:.2g} times the thrust that the file gives for their "
-        f"commands: {' or '.join(gain.look_alikes)} may be behind it, which commands without rotor speeds do not tell "
-        "from the motors' own gain."
+        f"commands. Possible causes: {' or '.join(gain.look_alikes)}; motor commands alone cannot separate them from "
+        "the motors' own gain."
     )
 
 

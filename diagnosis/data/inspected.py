@@ -101,7 +101,7 @@ def _battery_findings(parts: Sequence[Flight], thresholds: Thresholds) -> list[F
         Finding(
             "warning",
             "battery_unmeasured",
-            f"the battery voltage, {lowest:.2f} V at least, is none that a battery has in flight: it is not used",
+            f"the battery voltage, {lowest:.2f} V at least, is not a plausible pack voltage in flight: ignored",
             "check its sensor, its unit (V) and its scale",
         )
     ]

@@ -40,12 +40,12 @@ def accepted_fit(
         own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
         accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
     accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
-    accepted = _with_rivals_that_need_less(regression, accepted, dataset, lacking)
+    accepted = _replace_by_sparser_rivals(regression, accepted, dataset, lacking)
     if not regression.pose.there:  # an estimator's errors are as slow
         in_gust = selection.gust_variance > 0
         accepted = with_exchanges(regression, accepted, dataset, lacking, in_gust=in_gust)
-    accepted = _with_rivals_of_what_is_sure(regression, accepted, dataset, lacking)
-    return _with_damage_before_sensors(regression, accepted, dataset, lacking)
+    accepted = _replace_partly_significant(regression, accepted, dataset, lacking)
+    return _prefer_rotor_damage_over_sensor_fault(regression, accepted, dataset, lacking)
 
 
 def _with_rivals_of_refused(
@@ -122,7 +122,7 @@ def _with_judged_again(
     return accepted if trial is None or len(trial.fit.keys) == len(accepted.fit.keys) else trial
 
 
-def _with_rivals_that_need_less(
+def _replace_by_sparser_rivals(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
     """Accepted set with rivals in place of effects where the full model fits better, or as well with fewer others.
@@ -179,7 +179,7 @@ def _fitted_rivals(
                 yield sure, candidates
 
 
-def _with_rivals_of_what_is_sure(
+def _replace_partly_significant(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
     """Accepted set, partly significant effects replaced by rivals that explain as much.
@@ -199,7 +199,7 @@ def _with_rivals_of_what_is_sure(
     return accepted
 
 
-def _with_damage_before_sensors(
+def _prefer_rotor_damage_over_sensor_fault(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
     """Accepted set with rotor damage in place of a speed sensor's fault, where these flights cannot tell which.

@@ -30,13 +30,13 @@ SEED = 2  # of the errors of velocity, the same for all vehicles
 Made = TypeVar("Made")
 
 
-class _OfEach(Generic[Made]):
+class PerVehicleCache(Generic[Made]):
     """Values that are computed once for each vehicle."""
 
     def __init__(self, make: Callable[[Vehicle], Made]) -> None:
         self._make, self._made = make, dict[int, tuple[Vehicle, Made]]()
 
-    def of(self, vehicle: Vehicle) -> Made:
+    def get(self, vehicle: Vehicle) -> Made:
         """Return the value of a vehicle."""
         if id(vehicle) not in self._made:
             self._made[id(vehicle)] = (vehicle, self._make(vehicle))
@@ -54,13 +54,16 @@ class HeldOut:
         self.segments = segments
         self._regression, self._limits = regression, regression.thresholds.relevance
         self._saturated_floor = saturated_floor(regression, segments)
-        self._rows = _OfEach(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
-        self._windows = _OfEach(lambda vehicle: self._simulated(vehicle, self.segments))
-        self._row_errors, self._window_errors = _OfEach(self._rows_and_pose), _OfEach(self._windows_and_pose)
+        self._rows = PerVehicleCache(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
+        self._windows = PerVehicleCache(lambda vehicle: self._simulated(vehicle, self.segments))
+        self._row_errors, self._window_errors = (
+            PerVehicleCache(self._rows_and_pose),
+            PerVehicleCache(self._windows_and_pose),
+        )
 
     def rows(self, vehicle: Vehicle) -> list[Floats]:
         """(m, 12) residuals of each segment."""
-        return self._rows.of(vehicle)
+        return self._rows.get(vehicle)
 
     def shares_of_motion(self, without: Vehicle, vehicle: Vehicle) -> Floats:
         """(12,) RMS by which both vehicles' predictions differ over that of the motion which the latter explains."""
@@ -87,10 +90,10 @@ class HeldOut:
     def _rows_and_pose(self, vehicle: Vehicle) -> ModelErrors:
         """Residuals, and what errors of the pose's velocity make of them."""
         rows, r = self.rows(vehicle), self._regression
-        return ModelErrors(rows, [differences(residuals_in(r, vehicle, one), rows) for one in self._erring])
+        return ModelErrors(rows, [differences(residuals_in(r, vehicle, one), rows) for one in self._perturbed])
 
     @cached_property
-    def _erring(self) -> list[list[Segment]]:
+    def _perturbed(self) -> list[list[Segment]]:
         """The segments with errors of velocity as large as their own, once for each draw; none without such errors."""
         limits = self._regression.thresholds.pose
         if not self._regression.pose.there:
@@ -138,7 +141,7 @@ class HeldOut:
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
-        return self._windows.of(vehicle)
+        return self._windows.get(vehicle)
 
     def _simulated(self, vehicle: Vehicle, segments: Sequence[Segment]) -> dict[float, list[Floats]]:
         regression = self._regression
@@ -146,7 +149,7 @@ class HeldOut:
 
     def _windows_and_pose(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
         """Errors of windows, by horizon, and what errors of the pose's velocity make of them."""
-        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._erring]
+        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._perturbed]
         return {h: ModelErrors(own, [differences(draw[h], own) for draw in drawn]) for h, own in windows.items()}
 
     def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
