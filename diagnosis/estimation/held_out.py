@@ -82,7 +82,7 @@ class HeldOut:
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
-        was, now = map(self._row_errors.of, (before, after))
+        was, now = map(self._row_errors.get, (before, after))
         if (skipped := self._skipped(before, after)) > 0:
             was, now = was.after(skipped), now.after(skipped)
         return channel_changes(was, now, floor, self._regression.rate, self._limits)
@@ -115,7 +115,7 @@ class HeldOut:
         Without the position where an estimator makes the pose: after a second its error is that of the velocity at the
         start, to which the commands respond, so that a model whose rotors turn the vehicle too much comes closer.
         """
-        was, now = map(self._window_errors.of, (before, after))
+        was, now = map(self._window_errors.get, (before, after))
         if not was:
             return {}
         interval = self._regression.thresholds.prediction.start_interval
@@ -131,7 +131,7 @@ class HeldOut:
         quantities = list(self.open_loop_changes(before, after))
         if not quantities:
             return math.inf
-        was, now = map(self._window_errors.of, (before, after))
+        was, now = map(self._window_errors.get, (before, after))
         interval = self._regression.thresholds.prediction.start_interval
         return -open_loop_total(was, now, quantities, interval, self._limits).deviations
 
