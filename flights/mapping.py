@@ -142,7 +142,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (self.time.column, *(column for stream in self.streams for column in stream.columns))
 
 
-def _one_of(names: Table[str, object]) -> str:
+def _one_of(names: tuple[str, ...]) -> str:
     """Names as a choice: "m, mm or cm"."""
     *first, last = names
     return f"{', '.join(first)} or {last}" if first else last
