@@ -1,7 +1,7 @@
 # make demo   fly the mock, diagnose its hidden effect, write the report
 # make test   the tests of every change
 # make test-all  those that take long as well: every page's commands, every case of the verdict, every journey
-# make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
+# make lint   ruff, mypy, import-linter, the glossary's rules for identifiers and docstrings
 # make docs   the documentation as a site in build/site; a warning is an error
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone

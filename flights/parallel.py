@@ -67,7 +67,7 @@ def _in_processes(
         for place in (yield from _in_pool(function, items, waiting, count)):
             if killed is None:
                 raise VehicleError(
-                    "a working process ended by itself, killed or out of memory. Run the same command again with fewer "
+                    "a worker process died, killed or out of memory. Run the same command again with fewer "
                     "--jobs; what was finished is kept."
                 )
             if (yield from _in_pool(function, items, deque([place]), 1)):

@@ -89,7 +89,7 @@ class Worker:
         advice = (
             f"It may take {self.memory / 2**30:.1f} GB (`alula studio --memory`). The next step starts a new process."
         )
-        return Outcome("failed", f"the working process ended by itself (exit code {code}). {advice}")
+        return Outcome("failed", f"the worker process died (exit code {code}). {advice}")
 
     def _start(self) -> None:
         # spawned rather than forked: the server's threads may hold locks

@@ -1,8 +1,8 @@
 """The commands that pages show are run, a page's in their order, in a folder that holds what the pages name.
 
-Tutorials are followed by tests of their own. What takes long is shortened (`SHORTER`), words that stand for a reader's
-own files are replaced (`STANDS_FOR`), and a command that another page has run is not run again. Whatever is linked to a
-vehicle runs on loopback, beside the mock that the page starts.
+README and tutorials are followed by tests of their own. What takes long is shortened (`SHORTER`), words that stand for
+a reader's own files are replaced (`STANDS_FOR`), and a command that another page has run is not run again. Whatever is
+linked to a vehicle runs on loopback, beside the mock that the page starts.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ INSTEAD = {  # folders that hold something else on a page
 
 
 def commands_of_pages(*, tutorials: bool) -> dict[str, list[str]]:
-    """Page to its commands in their order, of the tutorials or of all other pages."""
-    followed = {page.name for page in TUTORIALS.glob("*.md")}
+    """Page to its commands in their order, of the tutorials and README or of all other pages."""
+    followed = {"README.md", *(page.name for page in TUTORIALS.glob("*.md"))}
     pages: dict[str, list[str]] = {}
     for page, text in [*commands_in_blocks(), *commands_of_units()]:
         if (page in followed) == tutorials and text not in NOT_RUN:

@@ -42,7 +42,7 @@ def test_what_the_function_raises_is_raised(jobs: int) -> None:
 
 
 def test_a_killed_process_is_named() -> None:
-    with pytest.raises(VehicleError, match="a working process ended by itself"):
+    with pytest.raises(VehicleError, match="a worker process died"):
         list(parallel_map(die, [1, 2], jobs=2))
 
 
