@@ -49,7 +49,7 @@ def acados_environment() -> Path:
 
 
 def base_packages() -> list[str]:
-    """What the base install needs, by which a vehicle file is read; CasADi is the one that acados brings."""
+    """Packages of the base install, by which a vehicle file is read; CasADi is the one that acados brings."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return list(project["dependencies"])
 

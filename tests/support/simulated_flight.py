@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
-from fixtures.kept_flights import kept
+from fixtures.flight_store import stored
 from flights import Flight
 from flights.log import Log, Stream
 from simulation.lockstep import FlownReference, fly_reference
@@ -20,7 +20,7 @@ from sitl_mock.vehicle.vehicle import VehicleOptions
 @lru_cache(maxsize=2)
 def flown(reference: str = "Lemniscate:laps=9", seed: int = 1) -> FlownReference:
     """Some twenty seconds of a reference with sensor noise and drag that the controller does not know."""
-    return kept(partial(_fly, reference, seed), "simulated flight", reference, seed)
+    return stored(partial(_fly, reference, seed), "simulated flight", reference, seed)
 
 
 def _fly(reference: str, seed: int) -> FlownReference:

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynamics.references import named_reference
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
-from fixtures.kept_flights import kept
+from fixtures.flight_store import stored
 from flights import Flight
 from simulation.lockstep import fly_reference
 
@@ -23,7 +23,7 @@ def fly_campaign(folder: Path, vehicle: Vehicle, effects: Sequence[str], flights
     for place, (name, text) in enumerate(flights.items()):
         reference = named_reference(text, vehicle)
         fly = partial(fly_reference, vehicle, reference, effects=uses, seed=place, name=name)
-        flown = kept(fly, "small campaign", vehicle, text, uses, place, name)
+        flown = stored(fly, "small campaign", vehicle, text, uses, place, name)
         path = folder / f"{name}.parquet"
         path.parent.mkdir(exist_ok=True)
         Flight.from_log(flown.log, rate=100).to_parquet(path)

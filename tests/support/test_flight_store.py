@@ -5,8 +5,8 @@ from types import MappingProxyType
 
 import pytest
 
-from fixtures import kept_flights
-from fixtures.kept_flights import kept
+from fixtures import flight_store
+from fixtures.flight_store import stored
 
 
 @pytest.fixture
@@ -23,28 +23,28 @@ def fly(flown: list[str], name: str) -> MappingProxyType[str, int]:
 
 
 def test_a_flight_is_flown_once_and_read_as_it_was(flown: list[str]) -> None:
-    first = kept(lambda: fly(flown, "circle"), "circle", 1)
-    again = kept(lambda: fly(flown, "circle"), "circle", 1)
+    first = stored(lambda: fly(flown, "circle"), "circle", 1)
+    again = stored(lambda: fly(flown, "circle"), "circle", 1)
     assert flown == ["circle"]
     assert first == again == {"circle": 1}
 
 
 def test_another_request_or_another_simulator_flies_again(flown: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    kept(lambda: fly(flown, "circle"), "circle", 1)
-    kept(lambda: fly(flown, "circle"), "circle", 2)
-    monkeypatch.setattr(kept_flights, "_sources", lambda: "changed")
-    kept(lambda: fly(flown, "circle"), "circle", 1)
+    stored(lambda: fly(flown, "circle"), "circle", 1)
+    stored(lambda: fly(flown, "circle"), "circle", 2)
+    monkeypatch.setattr(flight_store, "_sources", lambda: "changed")
+    stored(lambda: fly(flown, "circle"), "circle", 1)
     assert flown == ["circle"] * 3
 
 
 def test_a_flight_that_fails_is_not_kept(flown: list[str], tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
-        kept(lambda: 1 / 0, "crash")
-    assert kept(lambda: 2.0, "crash") == 2.0
+        stored(lambda: 1 / 0, "crash")
+    assert stored(lambda: 2.0, "crash") == 2.0
 
 
 def test_nothing_is_kept_without_a_folder(flown: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ALULA_FLIGHTS", "")
     for _ in range(2):
-        kept(lambda: fly(flown, "circle"), "circle")
+        stored(lambda: fly(flown, "circle"), "circle")
     assert flown == ["circle"] * 2
