@@ -43,9 +43,10 @@ from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
 from dynamics.rate_loop import with_gains_kept
+from dynamics.spelling import nearest
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
-from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
+from dynamics.vehicle_file import vehicle_toml, with_effect_files, write_vehicle_text
 
 ADVICE = "`alula diagnose` shows what is missing, if anything."
 _VERSION = re.compile(r"\.v(\d+)$")

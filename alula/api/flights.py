@@ -50,7 +50,7 @@ def describe_effects(
     """
     from dynamics.effect_card import effect_cards
     from dynamics.own_effects import catalogue_of
-    from dynamics.vehicle_file import nearest
+    from dynamics.spelling import nearest
 
     loaded = None if vehicle is None else vehicle_of(vehicle, effect_files)
     catalogue = catalogue_with(effect_files) if loaded is None else catalogue_of(loaded)
