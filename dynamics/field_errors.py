@@ -22,11 +22,11 @@ _WORDS = {
 def described(error: Exception) -> str:
     """The text of a validation error without its full stop; of any other error its own text."""
     text = str(error).rstrip(".")
-    found = _PLACE.match(text)
-    if found is None:
+    parts = _PLACE.match(text)
+    if parts is None:
         return text
-    what, place = found["what"], _field(found["path"] or "")
-    if found["key"] is not None:
+    what, place = parts["what"], _field(parts["path"] or "")
+    if parts["key"] is not None:
         place = f"a key of {place or 'the table'}"
     if missing := _MISSING.fullmatch(what):
         return f"{missing[1]!r} is missing{f' in [{place}]' if place else ''}"
@@ -34,8 +34,8 @@ def described(error: Exception) -> str:
         return f"unknown key {unknown[1]!r}{f' in [{place}]' if place else ''}"
     if choice := _ENUM.fullmatch(what):
         return f"{place or 'the value'} is {choice[1]}, which is none of its choices"
-    if wanted := _TYPE.fullmatch(what):
-        return _wrong_type(place or "the whole", wanted[1], wanted[2])
+    if type_error := _TYPE.fullmatch(what):
+        return _wrong_type(place or "the whole", type_error[1], type_error[2])
     return f"{place}: {what}" if place else what
 
 
@@ -50,17 +50,17 @@ def _field(path: str) -> str:
 def _wrong_type(place: str, kinds: str, rest: str) -> str:
     """The message for a value of a wrong type, length or size. rest: such as ", got `str`" or " >= 0"."""
     parsed = _GOT.match(rest)
-    limit, given = (parsed["limit"], parsed["given"]) if parsed else (rest, None)
-    wanted = " or ".join(_WORDS.get(kind.strip(), kind.strip()) for kind in kinds.split("|"))
+    limit, value_kind = (parsed["limit"], parsed["given"]) if parsed else (rest, None)
+    required = " or ".join(_WORDS.get(kind.strip(), kind.strip()) for kind in kinds.split("|"))
     length = re.fullmatch(r"\s*of length (.+)", limit, re.DOTALL)
     if length and kinds == "array":
-        wanted = f"a list of {_bound(length[1])} entries"
+        required = f"a list of {_bound(length[1])} entries"
     elif limit.strip():
-        wanted += f" {_bound(limit.removeprefix(' of ').strip())}"
-    if given is None:
-        return f"{place} must be {wanted}"
-    shown = _WORDS.get(given, given)
-    return f"{place} holds {shown}; wanted is {wanted}"
+        required += f" {_bound(limit.removeprefix(' of ').strip())}"
+    if value_kind is None:
+        return f"{place} must be {required}"
+    shown = _WORDS.get(value_kind, value_kind)
+    return f"{place} holds {shown}; wanted is {required}"
 
 
 def _bound(text: str) -> str:

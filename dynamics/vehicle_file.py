@@ -54,8 +54,8 @@ def find_vehicle(name: str | Path) -> Path:
 def no_such_vehicle(path: Path) -> str:
     """The message for a path at which no vehicle file is: the nearest name among those beside it and the bundled."""
     bundled = sorted(file.stem for file in FOLDER.glob("*.toml"))
-    beside = [str(path.with_name(file.name)) for file in vehicle_files_in(path.parent)]
-    close = nearest(str(path), [*beside, *bundled]) or nearest(path.stem, bundled)
+    neighbours = [str(path.with_name(file.name)) for file in vehicle_files_in(path.parent)]
+    close = nearest(str(path), [*neighbours, *bundled]) or nearest(path.stem, bundled)
     return (
         f"there is no vehicle file {path}{close or '.'} Give a TOML file (`alula vehicle new` makes one), or a bundled "
         f"vehicle: {', '.join(bundled)}."

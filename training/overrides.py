@@ -23,8 +23,9 @@ def overridden(struct: Definition, overrides: Mapping[str, Any]) -> Definition:
     kind = type(struct)
     undefined = [name for name in overrides if name not in kind.__struct_fields__]
     if undefined:
-        known = kind.__struct_fields__
-        raise RequestError(f"there is no {undefined[0]} in a {kind.__name__}{unknown(undefined[0], known)}")
+        raise RequestError(
+            f"there is no {undefined[0]} in a {kind.__name__}{unknown(undefined[0], kind.__struct_fields__)}"
+        )
     for name, value in overrides.items():
         if isinstance(value, float) and not math.isfinite(value):
             raise RequestError(f"{name} = {value}: required is a finite number.")
