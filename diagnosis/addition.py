@@ -29,6 +29,7 @@ from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.estimation.revision import without
+from diagnosis.models.channels import channel_name
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sentence
@@ -230,7 +231,7 @@ def _require_no_drift(
     """
     first = next((entry.before for entry in vehicle.history if entry.flights == _flights(dataset)), {})
     risen = [
-        f"{kind}: {first[kind]:.4g} at first, {error.after:.4g} after"
+        f"{channel_name(kind)}: {first[kind]:.4g} at first, {error.after:.4g} after"
         for kind, error in errors.items()
         if kind in first and relative_rise((error.after**2 - first[kind] ** 2) / error.floor**2) > limits.max_rise
     ]
