@@ -5,7 +5,6 @@ rosbags has no option for that; its tables of decompressors are replaced when th
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,7 +18,7 @@ from rosbags.rosbag2 import reader as rosbag2
 from rosbags.rosbag2 import storage_mcap
 
 from dynamics.packed_chunks import unpacked
-from dynamics.unpacking import Unpacking
+from dynamics.unpacking import CHUNK, Unpacking
 
 _bag: ContextVar[Path] = ContextVar("bag")
 
@@ -51,7 +50,7 @@ class _LimitedFile:
     def __exit__(self, *_: object) -> None:
         self._stream.close()
 
-    def read(self, size: int = shutil.COPY_BUFSIZE) -> bytes:  # type: ignore[attr-defined]
+    def read(self, size: int = CHUNK) -> bytes:
         """The next bytes. Raises RequestError beyond the limits, ValueError for damage."""
         try:
             part = self._stream.read(size)

@@ -21,9 +21,9 @@ from studio.case.case import Case
 from studio.case.commands import command, script
 from studio.case.state import Options
 from studio.work.results import Checked
-from tests.studio.app.test_first_visit import WorkerHere
 from tests.support.command_line import Run, command_line
 from tests.support.flight_files import manoeuvre, tlog
+from tests.support.worker_here import WorkerHere
 
 CHOOSING = (
     "read_flight", "read_flights", "inspect", "compare", "compare_hover", "diagnose", "add_effect", "prove", "train",

@@ -12,19 +12,10 @@ from studio.app.opened import OpenCase
 from studio.app.studio import Studio
 from studio.case.case import Case
 from studio.example import example_logs
-from studio.work.steps import StepRunner
-from studio.work.worker import Outcome
 from tests.studio.app.test_studio import CountedWorker
+from tests.support.worker_here import WorkerHere
 
 ORIGINALS = Path(__file__).parents[2] / "data" / "px4_sih_flights"
-
-
-class WorkerHere(CountedWorker):
-    """Does tasks in this process."""
-
-    def run(self, task: object, *_: object) -> Outcome:
-        StepRunner().do(task, lambda _share, _stage: None)  # type: ignore[arg-type]
-        return Outcome("done")
 
 
 @pytest.fixture
