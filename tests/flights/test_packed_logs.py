@@ -137,8 +137,9 @@ def _mcap(path: Path, compression: CompressionType) -> Path:
 def _bag_of_ros1(path: Path, compression: Ros1Writer.CompressionFormat, size: int) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     text = store.types["std_msgs/msg/String"](data="\0" * size)
-    with Ros1Writer(path) as writer:
-        writer.set_compression(compression)
+    bag = Ros1Writer(path)
+    bag.set_compression(compression)
+    with bag as writer:
         connection = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
         writer.write(connection, 0, store.serialize_ros1(text, "std_msgs/msg/String"))
     return path
@@ -147,8 +148,9 @@ def _bag_of_ros1(path: Path, compression: Ros1Writer.CompressionFormat, size: in
 def _bag_of_ros2(path: Path, storage: StoragePlugin, mode: CompressionMode, size: int) -> Path:
     store = get_typestore(Stores.ROS2_HUMBLE)
     text = store.types["std_msgs/msg/String"](data="\0" * size)
-    with Ros2Writer(path, version=9, storage_plugin=storage) as writer:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
+    bag = Ros2Writer(path, version=9, storage_plugin=storage)
+    bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag as writer:
         connection = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
         writer.write(connection, 0, store.serialize_cdr(text, "std_msgs/msg/String"))
     return path
