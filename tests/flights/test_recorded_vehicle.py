@@ -145,6 +145,7 @@ def test_every_function_that_reads_logs_chooses(function: str) -> None:
 def test_the_studio_chooses_by_an_option_of_the_case(both: Path, tmp_path: Path) -> None:
     case = Case.create(tmp_path / "case")
     case.add_logs([both])
+    case.set_vehicle("arpl_250g")  # without one there is no script
     without, keys = command(case, "check"), {case.key("flights")}
     for system in ("1", "2"):
         case.set_options(Options(system=system))
