@@ -29,6 +29,7 @@ from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.estimation.revision import without
+from diagnosis.models.channels import channel_name
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sentence
@@ -43,9 +44,10 @@ from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
 from dynamics.rate_loop import with_gains_kept
+from dynamics.spelling import nearest
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
-from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
+from dynamics.vehicle_file import vehicle_toml, with_effect_files, write_vehicle_text
 
 ADVICE = "`alula diagnose` shows what is missing, if anything."
 _VERSION = re.compile(r"\.v(\d+)$")
@@ -229,7 +231,7 @@ def _require_no_drift(
     """
     first = next((entry.before for entry in vehicle.history if entry.flights == _flights(dataset)), {})
     risen = [
-        f"{kind}: {first[kind]:.4g} at first, {error.after:.4g} after"
+        f"{channel_name(kind)}: {first[kind]:.4g} at first, {error.after:.4g} after"
         for kind, error in errors.items()
         if kind in first and relative_rise((error.after**2 - first[kind] ** 2) / error.floor**2) > limits.max_rise
     ]

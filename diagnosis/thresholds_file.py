@@ -10,6 +10,7 @@ import msgspec
 from diagnosis.thresholds import Thresholds
 from dynamics.decoding import parse_toml
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 
 
 def read_thresholds(path: str | Path) -> Thresholds:
@@ -22,6 +23,6 @@ def read_thresholds(path: str | Path) -> Thresholds:
         return msgspec.convert(table, Thresholds)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise RequestError(
-            f"cannot use the thresholds of {path}: {error}. `diagnosis/thresholds/` lists all of them with their "
-            "units and bounds."
+            f"cannot use the thresholds of {path}: {described(error)}. `diagnosis/thresholds/` lists all of "
+            "them with their units and bounds."
         ) from error

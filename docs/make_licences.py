@@ -21,6 +21,8 @@ Python 3.11 to 3.13 on every platform that Alula runs on; versions are those of 
 
 | lock | what it is for |
 | --- | --- |
+| `build.lock` | the wheel in a container: setuptools, and the messages of pymavlink |
+| `flight_computer.lock` | a flight computer's container, and any install without the workbench |
 | `workbench.lock` | `make demo`, and all other targets that fly, train and diagnose |
 | `development.lock` | `make test`, `make lint`, `make fuzz`: the same and what tests and checks need |
 

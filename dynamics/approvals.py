@@ -15,6 +15,7 @@ import msgspec
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.own_folder import configuration_folder, locked, make_own_folder, read_own, replace_own
 
 NAME = "trusted.json"
@@ -51,7 +52,7 @@ def read_approvals() -> tuple[Approval, ...]:
     try:
         return decode_json(content, tuple[Approval, ...])
     except msgspec.MsgspecError as error:
-        raise _unusable(path, f"it is damaged: {error}") from None
+        raise _unusable(path, f"it is damaged: {described(error)}") from None
 
 
 def is_listed(kind: Kind, sha256: str) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+from dynamics.unpacking import Unpacking
 
 # Of zipfile, and of NumPy's parser of headers, which tokenizes Python; a size that no memory holds is damage as well.
 DAMAGE = (
@@ -27,6 +28,10 @@ def read_arrays(path: Path, *, advice: str) -> dict[str, Floats]:
     """
     try:
         with path.open("rb") as file, np.load(file) as content:  # which would leave a damaged one open
+            unpacking = Unpacking(path, path.stat().st_size)
+            for member in content.zip.infolist():  # zipfile unpacks no more than it declares
+                unpacking.add_file()
+                unpacking.add_bytes(member.file_size, unpacking.size)
             arrays = {name: np.asarray(content[name]) for name in content.files}
             if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "biuf"]:
                 raise ValueError(f"{wrong[0]} holds no numbers")

@@ -17,7 +17,7 @@ CONTROL_PERIOD = 1 / CONTROL_RATE  # s
 MAX_NODES = 100  # the dense QP of 100 nodes has 400 variables and takes longer than any control period
 
 # setting: smallest value, largest value, unit
-_BOUNDS: Mapping[str, tuple[float, float, str]] = {
+BOUNDS: Mapping[str, tuple[float, float, str]] = {
     "rate": (20.0, 500.0, "Hz"),
     "nodes": (2, MAX_NODES, "nodes"),
     "horizon": (0.05, 10.0, "s"),
@@ -86,7 +86,7 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     def __post_init__(self) -> None:
         """Refuse values that the solver or a flight cannot use."""
-        for name, bounds in _BOUNDS.items():
+        for name, bounds in BOUNDS.items():
             value = getattr(self, name)
             if value is not None:
                 _require_within(name, value if isinstance(value, tuple) else (value,), *bounds)

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.inside import path_inside
 
 ENDING = ".py"
@@ -104,7 +105,9 @@ def carried_files(entries: Iterable[Any]) -> list[EffectFile]:
     try:
         return [msgspec.convert(entry, EffectFile) for entry in entries if isinstance(entry, dict)]
     except msgspec.ValidationError as error:
-        raise RequestError(f"{KEY}: {error}. Wanted are names of files, or path, sha256 and text of each.") from error
+        raise RequestError(
+            f"{KEY}: {described(error)}. Wanted are names of files, or path, sha256 and text of each."
+        ) from error
 
 
 def as_carried(files: Iterable[EffectFile]) -> list[EffectFile]:

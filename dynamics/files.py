@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.version import with_version
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> Path:
@@ -52,6 +53,11 @@ def write_json(value: object, path: Path) -> None:
         sys.stdout.buffer.flush()
         return
     write_whole(path, lambda part: part.write_bytes(text), advice="Give a folder that can be written.")
+
+
+def write_answer(value: object, path: Path) -> None:
+    """Write an answer that can be sent to somebody, as `write_json`, with the version that gave it."""
+    write_json(with_version(value), path)
 
 
 def _remove(part: Path) -> None:

@@ -6,7 +6,8 @@ reads its logs in many places, and reads one vehicle in all of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from dynamics.autopilot import first_vehicle
@@ -14,6 +15,7 @@ from dynamics.errors import RequestError
 
 Address = tuple[int, int]  # system and component
 Announce = Callable[[str], None]
+MAX_SYSTEM = 255
 
 
 class _Choice:
@@ -32,6 +34,24 @@ def choose_system(system: int | None, announce: Announce | None = None) -> None:
     announce: called with a line for each recording of several vehicles, once.
     """
     _choice.system, _choice.announce, _choice.announced = system, announce, set()
+
+
+@contextmanager
+def system_chosen(system: int | None) -> Iterator[None]:
+    """Read the vehicle with a system id inside of the block; None leaves the choice of the process as it is.
+
+    Raises RequestError for a number that no MAVLink system has.
+    """
+    if system is None:
+        yield
+        return
+    if isinstance(system, bool) or not isinstance(system, int) or not 1 <= system <= MAX_SYSTEM:
+        raise RequestError(f"system = {system!r} is no system id. Give a whole number, 1 to {MAX_SYSTEM}.")
+    process_wide, _choice.system = _choice.system, system
+    try:
+        yield
+    finally:
+        _choice.system = process_wide
 
 
 def chosen_system() -> int | None:
@@ -53,7 +73,8 @@ def recorded_vehicle(path: Path, autopilots: list[Address], frames: Mapping[Addr
     if not candidates:
         present = ", ".join(str(number) for number in dict.fromkeys(number for number, _ in autopilots or frames))
         raise RequestError(
-            f"{path}: no vehicle with system id {system} is in it. Give --system one of: {present}; or leave it out."
+            f"{path}: no vehicle with system id {system} is in it. Choose (--system, or system= "
+            f"in Python) one of: {present}; or leave it out."
         )
     vehicle = max(candidates, key=lambda sender: frames[sender])
     return vehicle, f"no autopilot's heartbeat: system {vehicle[0]}, which sends most, is taken for the vehicle"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 import types
@@ -33,8 +32,11 @@ from dynamics.effect_source import (
 )
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
+from dynamics.spelling import nearest, unknown
 from dynamics.trust import require_approved
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_folder import vehicle_files_in
 from dynamics.vehicle_plausibility import require_plausible
 from vehicles import FOLDER
 
@@ -47,6 +49,17 @@ def find_vehicle(name: str | Path) -> Path:
     bundled = FOLDER / f"{name}.toml"
     is_bundled = Path(name).name == str(name) and bundled.exists() and not Path(name).exists()
     return bundled if is_bundled else Path(name)
+
+
+def no_such_vehicle(path: Path) -> str:
+    """The message for a path at which no vehicle file is: the nearest name among those beside it and the bundled."""
+    bundled = sorted(file.stem for file in FOLDER.glob("*.toml"))
+    neighbours = [str(path.with_name(file.name)) for file in vehicle_files_in(path.parent)]
+    close = nearest(str(path), [*neighbours, *bundled]) or nearest(path.stem, bundled)
+    return (
+        f"there is no vehicle file {path}{close or '.'} Give a TOML file (`alula vehicle new` makes one), or a bundled "
+        f"vehicle: {', '.join(bundled)}."
+    )
 
 
 def read_vehicle(
@@ -75,6 +88,8 @@ def vehicle_text(path: str | Path, *, effect_files: Sequence[str | Path] = ()) -
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RequestError(no_such_vehicle(path)) from None
     except (OSError, UnicodeDecodeError) as error:
         raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from error
     return with_effect_files(text, path.parent, effect_files)
@@ -171,7 +186,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, RequestError):
             raise error.__cause__ from None
-        raise RequestError(f"{error}.") from error
+        raise RequestError(f"{described(error)}.") from error
     if vehicle.effect_files:
         catalogue = {**with_effects_of(vehicle.effect_files, vehicle), **catalogue}
     for use in vehicle.effects:
@@ -245,7 +260,7 @@ def effect_text(use: EffectUse) -> str:
 def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> None:
     """Refuse an effect that the catalogue does not hold, or values that it cannot have, with a RequestError."""
     if use.name not in catalogue:
-        raise RequestError(f"unknown effect {use.name!r}{nearest(use.name, catalogue)}. Known: {', '.join(catalogue)}.")
+        raise RequestError(f"unknown effect {use.name!r}{unknown(use.name, catalogue)}")
     effect = catalogue[use.name]
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     for key, value in use.parameters.items():
@@ -291,7 +306,7 @@ def with_settings(
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, RequestError):
             raise error.__cause__ from None
-        raise RequestError(f"controller: {error}.") from error
+        raise RequestError(f"controller: {described(error)}.") from error
     _check_controller(changed, catalogue)
     return changed
 
@@ -300,12 +315,6 @@ def _check_controller(vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> None
     """Raise RequestError for a horizon that is too short for the vehicle; the default one never is."""
     if vehicle.controller != ControllerSettings():
         lookaheads(vehicle, catalogue)
-
-
-def nearest(word: str, valid: Mapping[str, object] | tuple[str, ...]) -> str:
-    """A remark that names the valid word nearest to an unknown one; empty when none is near."""
-    close = difflib.get_close_matches(word, list(valid), n=1, cutoff=0.5)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def refuse_unknown_keys(table: Mapping[str, Any], kind: type[msgspec.Struct], where: str = "") -> None:

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 
 from dynamics.autopilot_frames import FRAMES
 from dynamics.errors import RequestError
+from dynamics.spelling import nearest
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_draft import Draft, Entry
-from dynamics.vehicle_file import nearest
 from dynamics.vehicle_plausibility import AIR_DENSITY, require_in_range
 
 INCH = 0.0254  # m

@@ -26,6 +26,7 @@ from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.trust import approve_here
+from dynamics.version import VERSION_KEY, __version__
 from export.c_files import build_c_files, c_files, compiled
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
@@ -58,6 +59,8 @@ from runtime.control.verification import record_ticks
 
 PARITY, SOURCES = "parity.json", "kernel"
 WINDOWS = 1000
+MIN_WINDOWS = 10  # of each kind, for an error in the mean of which a difference shows
+MIN_NODES, MIN_HORIZON = 2, 0.1  # of a controller's problem; s
 LIBRARIES = ("alula", "numpy", "casadi", "onnx", "onnxruntime", "torch")
 
 
@@ -81,6 +84,17 @@ class ExportOptions:
     seed: int = 0
     overwrite: bool = False
     command: str = "alula export"
+
+    def __post_init__(self) -> None:
+        """Refuse what no bundle can be proven or flown with."""
+        for name, value, minimum in (
+            ("windows", self.windows, MIN_WINDOWS),
+            ("seed", self.seed, 0),
+            ("nodes", self.problem.nodes, MIN_NODES),
+            ("horizon", self.problem.horizon, MIN_HORIZON),
+        ):
+            if not value >= minimum:
+                raise RequestError(f"{name} = {value}: wanted is {minimum:g} or more. Give another, or leave it out.")
 
 
 @dataclass(frozen=True)
@@ -346,6 +360,7 @@ def _errors(model: ExportedModel) -> dict[str, float]:
 
 def _provenance(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
     provenance = {
+        VERSION_KEY: __version__,
         "vehicle_sha256": hashlib.sha256(model.vehicle_text.encode()).hexdigest(),
         "windows": ", ".join(map(str, options.logs)) or "the paper's references",
         "seed": str(options.seed),

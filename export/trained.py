@@ -17,7 +17,7 @@ from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
 from dynamics.trust import require_approved
 from dynamics.vehicle import EffectUse, Vehicle
-from dynamics.vehicle_file import effect_files_in, parse_vehicle, vehicle_text
+from dynamics.vehicle_file import effect_files_in, no_such_vehicle, parse_vehicle, vehicle_text
 from export.integrator import choose_integrator
 from export.network import Convolution, Dense, Ensemble, Network
 from runtime.control.bundle import Integrator
@@ -109,6 +109,8 @@ def read_model(
         settled = choose_integrator(config, integrator)
         source = hashlib.sha256(text.encode()).hexdigest()
         return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled, source=source)
+    if path.suffix != ".pt" and not path.exists():
+        raise RequestError(no_such_vehicle(path))
     trained = load(path)
     if trained.networks and not 0 <= member < len(trained.networks):
         raise RequestError(f"{path} has {len(trained.networks)} members, numbered from 0; there is no {member}.")

@@ -75,8 +75,8 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     count = int(np.floor((end - start) * chosen + 1e-6)) + 1
     if count > MAX_ROWS:
         raise DataError(
-            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, give a lower rate, or "
-            "read it with flights.read_chunks."
+            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, cut the log into "
+            "shorter ones, or give a lower rate."
         )
     return np.asarray(start + np.arange(count) / chosen)
 

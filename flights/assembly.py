@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from flights.events import MAX_EVENTS, Event, EventKind, cleaned
 from flights.log import LogContent, Repair, Stream, spanning_streams
 from flights.quantities import PRIMARY, QUANTITIES, ROTORS
 from flights.source import MAX_STEP_BACK
@@ -21,6 +23,7 @@ MAX_STRAY = 0.02  # share of stray rows above which the stamps are not damaged b
 _MIN_TO_JUDGE = 10
 MAX_VALUE = 1e12  # nothing that flies has a value beyond it
 LENGTH_TOLERANCE = 0.05  # of an attitude quaternion
+EMPTY = "holds no value and is left out"  # ends the note on such a stream
 
 
 class Assembly:
@@ -37,6 +40,7 @@ class Assembly:
         self._spares: list[Stream] = []
         self._faults: dict[str, tuple[str, DataError]] = {}  # of primary quantities, by source
         self._notes: list[str] = []
+        self._events: list[Event] = []
         self._repairs: list[Repair] = []
         self._epoch: int | None = None
 
@@ -44,6 +48,11 @@ class Assembly:
         """Add a note for the user, each once."""
         if text not in self._notes:
             self._notes.append(text)
+
+    def event(self, time: float, kind: EventKind, text: str) -> None:
+        """Add a change of mode or a message. time: s of the file's clock."""
+        if math.isfinite(time) and len(self._events) < MAX_EVENTS and (shown := cleaned(text)):
+            self._events.append(Event(time, kind, shown))
 
     def repair(self, name: str, detail: str) -> None:
         """Add a change to the file's content, each once."""
@@ -82,7 +91,7 @@ class Assembly:
                 self.repair("stream_left_out", f"{error} It is left out.")
             return
         if not len(stamps) or np.isnan(table).all():
-            self.note(f"{what} holds no value and is left out")
+            self.note(f"{what} {EMPTY}")
             return
         (self._spares if spare else self._streams).append(Stream(name, stamps, table, source))
 
@@ -205,6 +214,7 @@ class Assembly:
             self.parameters,
             tuple(self._notes),
             tuple(self._repairs),
+            tuple(Event(round(e.time - start, 6), e.kind, e.text) for e in sorted(self._events, key=lambda e: e.time)),
         )
 
 

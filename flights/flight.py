@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
+from dynamics.spelling import unknown
 from flights import tables
 from flights.alignment import align
 from flights.log import Log, Origin, Provenance, Stream
@@ -48,9 +49,9 @@ class Flight:
 
     def __post_init__(self) -> None:
         """Order the columns and make everything read-only; refuse columns that are not the flight CSV's."""
-        unknown = [name for name in self.columns if quantity_of(name) is None]
-        if unknown:
-            raise DataError(f"{', '.join(unknown)} are no columns of a flight. Known: {', '.join(known_columns())}.")
+        foreign = [name for name in self.columns if quantity_of(name) is None]
+        if foreign:
+            raise DataError(f"{', '.join(foreign)} are no columns of a flight{unknown(foreign[0], known_columns())}")
         order = {name: index for index, name in enumerate(QUANTITIES)}
         names = sorted(self.columns, key=lambda name: _place(name, order))
         frozen = {name: _read_only(self.columns[name]) for name in names}
@@ -153,7 +154,7 @@ class Flight:
     def _quantity(name: str) -> Quantity:
         quantity = quantity_of(name) or QUANTITIES.get(name)
         if quantity is None:
-            raise RequestError(f"{name!r} is no column of a flight. Known: {', '.join(known_columns())}.")
+            raise RequestError(f"{name!r} is no column of a flight{unknown(name, known_columns())}")
         return quantity
 
     def rows(self, start: int, stop: int) -> Self:

@@ -10,7 +10,7 @@ from dynamics.errors import AlulaError, DataError, RequestError
 from flights import mapping as mappings
 from flights.mapping import Mapping
 from flights.quantities import quantity_of
-from flights.readers import csv, mapped_csv
+from flights.readers import csv, dataflash, mapped_csv
 from flights.reading import logs_below, sniff
 from flights.source import Source, opened
 from flights.tables import TIME
@@ -62,7 +62,7 @@ def is_log(path: Path, mapping: Mapping | None = None) -> bool:
     except DataError:
         return path.suffix.lower() in SUFFIXES or path.suffixes[-1:] == [".gz"]
     except RequestError:
-        return _is_readable(path) is False or _has_flight_columns(path)
+        return _is_readable(path) is False or _needs_advice(path)
 
 
 def _names(source: Source, mapping: Mapping) -> set[str]:
@@ -72,10 +72,12 @@ def _names(source: Source, mapping: Mapping) -> set[str]:
         return set()
 
 
-def _has_flight_columns(path: Path) -> bool:
-    """Whether a table has a time and a quantity of a flight, in whatever form: a log that needs a word of advice."""
+def _needs_advice(path: Path) -> bool:
+    """Whether a file is a log in a form that is not read: ArduPilot's as text, or a table of a flight's columns."""
     try:
         with opened(path) as source:
+            if dataflash.is_text(source):
+                return True
             line = source.first_line()
     except AlulaError:
         return False

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from dynamics.arrays import Floats
+from flights.events import Event
 from flights.quantities import PRIMARY, QUANTITIES, Quantity
 
 # names of repairs that leave something out
@@ -106,6 +107,7 @@ class LogContent:
     parameters: of the vehicle, by their own names.
     notes: assumptions, and data that the file lacks or that were left out.
     repairs: changes to the file's content.
+    events: modes and messages, in the order of time.
     """
 
     streams: tuple[Stream, ...]
@@ -114,6 +116,7 @@ class LogContent:
     parameters: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     repairs: tuple[Repair, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,7 @@ class Log:
     start: float = 0.0
     metadata: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

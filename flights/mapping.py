@@ -14,9 +14,11 @@ import numpy as np
 
 from dynamics.decoding import parse_toml
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
+from dynamics.spelling import nearest
 from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
-from dynamics.vehicle_file import nearest, refuse_unknown_keys
+from dynamics.vehicle_file import refuse_unknown_keys
 from flights.quantities import MAX_ROTORS, QUANTITIES
 
 FOLDER = Path(__file__).parent / "mappings"
@@ -161,8 +163,9 @@ def read_mapping(path: Path) -> Mapping:
     except RequestError as error:
         raise RequestError(f"{path}: {error}") from None
     except (msgspec.ValidationError, re.error) as error:
-        cause = error.__cause__ if isinstance(error.__cause__, RequestError) else error
-        raise RequestError(f"{path}: {cause}") from None
+        if isinstance(error.__cause__, RequestError):
+            raise RequestError(f"{path}: {error.__cause__}") from None
+        raise RequestError(f"{path}: {described(error)}. See flights/mappings/.") from None
     if len(mapping.file.delimiter) != 1:
         raise RequestError(f"{path}: delimiter {mapping.file.delimiter!r} must be one character.")
     return mapping

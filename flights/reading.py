@@ -10,6 +10,7 @@ import numpy as np
 
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility, pose_source
+from flights.events import Event
 from flights.log import Log, LogContent, Provenance, Stream
 from flights.quantities import quantity_of
 from flights.readers import (
@@ -133,7 +134,8 @@ def _cut(content: LogContent, span: TimeSpan) -> LogContent:
         for stream, rows in rows_by_stream
         if rows.any()
     )
-    return replace(content, streams=streams, start=content.start + start)
+    events = tuple(Event(e.time - start, e.kind, e.text) for e in content.events if span.start <= e.time < span.end)
+    return replace(content, streams=streams, start=content.start + start, events=events)
 
 
 def _checked_log(source: Source, name: str, digest: str, content: LogContent) -> Log:
@@ -150,7 +152,7 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
         str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + content.repairs
     )
     metadata = {**content.metadata, pose_source.KEY: pose_source.known_source(name, content)}
-    return Log(content.streams, provenance, content.start, metadata, content.parameters)
+    return Log(content.streams, provenance, content.start, metadata, content.parameters, content.events)
 
 
 def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
@@ -160,7 +162,7 @@ def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
     """
     root = Path(folder)
     if not root.is_dir():
-        raise RequestError(f"{root} is no folder. Give a folder of logs, or one log to Flight.read.")
+        raise RequestError(f"{root} is no folder. Give a folder of logs.")
     for path in logs_below(root):
         try:
             yield path, read_log(path)
@@ -176,7 +178,13 @@ def sniff(source: Source) -> str:
     labels = ", ".join(form.label for form in FORMATS.values())
     if source.is_folder:
         raise RequestError(
-            f"{source.path} is a folder, and not a bag of ROS 2. Give one log, or read it with flights.read_folder."
+            f"{source.path} is a folder, and not a bag of ROS 2. Give one log (commands read a folder of logs as well)."
+        )
+    if dataflash.is_text(source):
+        raise RequestError(
+            f"{source.path} is an ArduPilot log as text (.log), made of the autopilot's own .bin file; it holds fewer "
+            "digits and is not read. Give the .bin file: from the vehicle's card (APM/LOGS), or downloaded again by "
+            "the ground station without the conversion to text."
         )
     separated = csv.names_of(source.first_line(), ";")
     if TIME in separated and any(quantity_of(name) is not None for name in separated):

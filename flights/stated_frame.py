@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dynamics.autopilot_frames import AUTOPILOTS, FRAMES, OWN_NUMBERS, QUAD_X_ORDER, Frame, ardupilot_frame
 from dynamics.errors import RequestError
-from dynamics.vehicle_file import nearest
+from dynamics.spelling import unknown
 from flights.flight import Flight
 from flights.quantities import ROTORS
 from flights.readers.px4_rotors import rotor_order
@@ -34,7 +34,7 @@ def stated_layout(flights: Sequence[Flight], frame: str, autopilot: str | None =
     """
     name = frame.lower().replace("-", "_").replace("octo_", "octa_")
     if name not in FRAMES:
-        raise RequestError(f"unknown frame {frame!r}{nearest(name, FRAMES)}. Known: {', '.join(FRAMES)}.")
+        raise RequestError(f"unknown frame {frame!r}{unknown(name, FRAMES)}")
     stated, count = FRAMES[name], len(FRAMES[name].angle)
     for flight in flights:
         logged = {flight[q].shape[1] for q in ROTORS if flight.has(q)}
@@ -74,7 +74,7 @@ def _autopilot(flights: Sequence[Flight], stated: str | None) -> str:
     if stated is not None:
         by_name = {name.lower(): name for name in AUTOPILOTS}
         if stated.lower() not in by_name:
-            raise RequestError(f"unknown autopilot {stated!r}. Known: {', '.join(by_name)}.")
+            raise RequestError(f"unknown autopilot {stated!r}{unknown(stated.lower(), by_name)}")
         return by_name[stated.lower()]
     names = {AUTOPILOT_OF_FORMAT[f.provenance.format] for f in flights if f.provenance.format in AUTOPILOT_OF_FORMAT}
     if len(names) > 1:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pa_parquet
 from dynamics.arrays import Floats
 from dynamics.decoding import decode_json
 from dynamics.files import write_whole
+from dynamics.version import VERSION_KEY, __version__
 from flights.log import Origin, Provenance
 from flights.quantities import quantity_of
 
@@ -51,7 +52,7 @@ def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, pat
         quantity = quantity_of(name)
         details = {} if quantity is None else {"unit": quantity.unit, "frame": quantity.frame}
         fields.append(pa.field(name, pa.float64(), metadata=details))
-    schema = pa.schema(fields, metadata={_KEY: msgspec.json.encode(notes)})
+    schema = pa.schema(fields, metadata={_KEY: msgspec.json.encode(notes), VERSION_KEY: __version__})
     table = pa.table([pa.array(time), *(pa.array(values) for values in columns.values())], schema=schema)
     return write_whole(path, lambda file: pa_parquet.write_table(table, file, compression="zstd"), advice=ADVICE)
 

@@ -13,11 +13,13 @@ import argparse
 import re
 import subprocess
 import tempfile
+import tomllib
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-EXTRAS = {"workbench": ("workbench",), "development": ("workbench", "test", "lint")}
+EXTRAS = {"flight_computer": (), "workbench": ("workbench",), "development": ("workbench", "test", "lint")}
+BUILD = "build"  # what builds a wheel, without what that requires: setup.py imports none of it
 OUTSIDE = re.compile(r"(torch==|triton==|nvidia-|cuda-)")  # see docs/supply_chain.md
 HEAD = "# Written by requirements/make_locks.py from pyproject.toml and constraints.txt; see docs/supply_chain.md.\n"
 
@@ -32,6 +34,7 @@ def main() -> None:
         entries = resolved(arguments.uv, arguments.index, extras)
         text = "".join(entry for entry in entries if not OUTSIDE.match(entry))
         (HERE / f"{name}.lock").write_text(HEAD + text, encoding="utf-8")
+    (HERE / f"{BUILD}.lock").write_text(HEAD + "".join(entries_of_build()), encoding="utf-8")
 
 
 def resolved(uv: str, index: str | None, extras: tuple[str, ...]) -> list[str]:
@@ -48,6 +51,14 @@ def resolved(uv: str, index: str | None, extras: tuple[str, ...]) -> list[str]:
         ]
         subprocess.run(command, cwd=ROOT, check=True)
         return re.findall(r"^[^\s#].*(?:\n[ \t].*)*\n", target.read_text(), re.MULTILINE)
+
+
+def entries_of_build() -> list[str]:
+    """The entries of the workbench's lock that pyproject.toml requires for building."""
+    required = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    names = [re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required]
+    entries = re.findall(r"^[^\s#].*(?:\n[ \t].*)*\n", (HERE / "workbench.lock").read_text(), re.MULTILINE)
+    return [entry for entry in entries if entry.partition("==")[0] in names]
 
 
 if __name__ == "__main__":

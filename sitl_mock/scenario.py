@@ -15,6 +15,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.effects.wind import steady_wind
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
 from sitl_mock.autopilot.fault_schedule import Fault
@@ -144,7 +145,7 @@ def parse_scenario(text: str, rotor_count: int, *, catalogue: Mapping[str, Effec
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, RequestError):
             raise error.__cause__ from None
-        raise RequestError(f"{error}.") from error
+        raise RequestError(f"{described(error)}.") from error
     for use in scenario.hidden_effects():
         check_effect(use, rotor_count, catalogue=catalogue)
     _check_sensors(scenario.sensors)

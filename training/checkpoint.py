@@ -35,6 +35,7 @@ from dynamics.arrays import Floats
 from dynamics.decoding import decode_json
 from dynamics.effect_source import as_carried
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.trust import require_approved
 from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
@@ -297,4 +298,4 @@ def _networks(config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tupl
 
 
 def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    return " ".join(described(error).split())[:200]

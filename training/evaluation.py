@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,13 +115,14 @@ def evaluate(
     """Evaluate every model, the nominal one before them, the plant after them where a campaign names it.
 
     A grey box with a network follows its base, which shows what the network adds. done: called with the name of each
-    model that is finished. Raises RequestError for flights that a model was trained on, DataError for flights that
-    models cannot be evaluated on.
+    model that is finished. Flights that a model was trained on are left out, with a note. Raises RequestError where no
+    other flight was given, DataError for flights that models cannot be evaluated on.
     """
     if not models:
         raise RequestError("no model to evaluate. Give checkpoints of `alula train` (.pt), or --vehicle.")
     vehicle, config = models[0].model.vehicle, models[0].model.config
-    notes = [note for named in models for note in _validation_notes(named, recordings)]
+    recordings, notes = _unlearned(models, recordings)
+    notes += [note for named in models for note in _validation_notes(named, recordings)]
     plant = None if campaign is None else physical_model(PLANT, hidden_plant(campaign, vehicle), config)
     bare = msgspec.structs.replace(vehicle, effects=())
     everyone = [NamedModel(NOMINAL, physical_model("nominal", bare, config))]
@@ -166,15 +167,38 @@ def rows_for(model: TrainedModel, recordings: Sequence[LoggedFlight]) -> Labelle
     return label_rows(model.config, model.vehicle, recordings, min_windows=MIN_WINDOWS)
 
 
-def _validation_notes(named: NamedModel, recordings: Sequence[LoggedFlight]) -> list[str]:
-    """Notes on flights that chose a model's best step. Raises RequestError for those that it was trained on."""
-    card = named.model.card
-    learned = [r.name for r in recordings if r.sha256 in card.flights.values()]
-    if learned:
+def _unlearned(
+    models: Sequence[NamedModel], recordings: Sequence[LoggedFlight]
+) -> tuple[tuple[LoggedFlight, ...], list[str]]:
+    """The flights that no model was trained on, the same for all, and a note on the others.
+
+    Raises RequestError where none is left.
+    """
+    learned: dict[str, list[str]] = {}
+    for named in models:
+        for recording in recordings:
+            if recording.sha256 in named.model.card.flights.values():
+                learned.setdefault(recording.name, []).append(named.name)
+    left = tuple(recording for recording in recordings if recording.name not in learned)
+    trained = list(dict.fromkeys(name for names in learned.values() for name in names))
+    if not left:
         raise RequestError(
-            f"{named.name} was trained on {', '.join(learned[:4])}: errors there mean nothing. Give other flights."
+            f"{' and '.join(trained)} {'was' if len(trained) == 1 else 'were'} trained on {_few(learned)}: errors "
+            "there mean nothing, and no other flight was given. Give others."
         )
-    chosen = [r.name for r in recordings if r.sha256 in card.validation.values()]
+    note = f"left out, since {' and '.join(trained)} learned from them: {_few(learned)}"
+    return left, [note] if learned else []
+
+
+def _few(names: Iterable[str], shown: int = 4) -> str:
+    """Some names, the first ones of many."""
+    listed = list(names)
+    return ", ".join(listed[:shown]) + (f" and {len(listed) - shown} more" if len(listed) > shown else "")
+
+
+def _validation_notes(named: NamedModel, recordings: Sequence[LoggedFlight]) -> list[str]:
+    """Notes on flights that chose a model's best step."""
+    chosen = [r.name for r in recordings if r.sha256 in named.model.card.validation.values()]
     return [f"the best step of {named.name} was chosen on {', '.join(chosen)}"] if chosen else []
 
 

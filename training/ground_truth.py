@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.decoding import decode_json
 from dynamics.errors import DataError
+from dynamics.field_errors import described
 from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import with_motor_lag
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
@@ -49,7 +50,7 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
         manifest: dict[str, Any] = decode_json(path.read_bytes())
         texts = [str(text) for text in manifest["effects"]]
     except (OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
-        raise DataError(f"{path} does not name what the campaign hid: {error}. Fly it again.") from error
+        raise DataError(f"{path} does not name what the campaign hid: {described(error)}. Fly it again.") from error
     catalogue = catalogue_of(vehicle)
     uses = [parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in texts]
     bare = msgspec.structs.replace(vehicle, effects=())

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.spelling import unknown
 
 Definition = TypeVar("Definition", bound=msgspec.Struct)
 
@@ -20,10 +21,10 @@ def overridden(struct: Definition, overrides: Mapping[str, Any]) -> Definition:
     Raises RequestError for a value that its type does not allow, or that is not finite.
     """
     kind = type(struct)
-    unknown = [name for name in overrides if name not in kind.__struct_fields__]
-    if unknown:
+    undefined = [name for name in overrides if name not in kind.__struct_fields__]
+    if undefined:
         raise RequestError(
-            f"there is no {unknown[0]} in a {kind.__name__}. Known: {', '.join(kind.__struct_fields__)}."
+            f"there is no {undefined[0]} in a {kind.__name__}{unknown(undefined[0], kind.__struct_fields__)}"
         )
     for name, value in overrides.items():
         if isinstance(value, float) and not math.isfinite(value):

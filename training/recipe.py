@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from dynamics.errors import RequestError
+from dynamics.spelling import unknown
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Positive = Annotated[float, Meta(gt=0)]
@@ -74,5 +75,5 @@ RECIPES = {"paper": PAPER, "fast": FAST}
 def named_recipe(name: str) -> Recipe:
     """The recipe of a name. Raises RequestError for another."""
     if name not in RECIPES:
-        raise RequestError(f"unknown recipe {name!r}. Known: {', '.join(RECIPES)}.")
+        raise RequestError(f"unknown recipe {name!r}{unknown(name, RECIPES)}")
     return RECIPES[name]

@@ -13,6 +13,7 @@ from alula.workbench import workbench
 from dynamics.command import command_line
 from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
+from dynamics.recorded_vehicle import system_chosen
 
 if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
@@ -31,6 +32,7 @@ def compare(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    system: int | None = None,
     progress: Progress = no_progress,
 ) -> ComparisonResult:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest.
@@ -41,6 +43,7 @@ def compare(
     effect_files: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
     pose: where the pose comes from, "mocap" or "estimator"; by default as the logs tell.
+    system: system id of the vehicle to read where a tlog holds several; by default the first autopilot.
     progress: called with the share that is done, 0 to 1, and what is done now.
 
     Returns a ComparisonResult.
@@ -61,7 +64,7 @@ def compare(
     catalogue = catalogue_of(loaded)
     if trial is not None:
         loaded = loaded.with_effect_replaced(parse_effect(trial, loaded.rotors.count, catalogue=catalogue))
-    dataset = dataset_of(flights, loaded, None, mapping, pose, part_of(progress, 0.0, 0.5))
+    dataset = dataset_of(flights, loaded, None, mapping, pose, part_of(progress, 0.0, 0.5), system)
     progress(0.5, "errors and where they are largest")
     details = compare_dataset(dataset, loaded, catalogue)
     return ComparisonResult(details.comparison, loaded, dataset, details)
@@ -75,6 +78,7 @@ def diagnose(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    system: int | None = None,
     progress: Progress = no_progress,
 ) -> DiagnosisResult:
     """Name the physical effect that is missing from a vehicle's model, or that the model explains the flights.
@@ -85,7 +89,7 @@ def diagnose(
         or blocks of all where these do not fly as the others do.
     effect_files: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
-    pose, progress: as for `compare`.
+    pose, system, progress: as for `compare`.
 
     Returns a DiagnosisResult: `report.verdict` is "explained", "effect", "ambiguous" or "unknown".
     Raises RequestError for logs, a vehicle or a pattern that cannot be used, DataError for flights that cannot answer.
@@ -102,7 +106,7 @@ def diagnose(
 
     loaded = vehicle_of(vehicle, effect_files)
     catalogue = catalogue_of(loaded)
-    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING))
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING), system)
     details = diagnose_dataset(dataset, loaded, catalogue, progress=part_of(progress, READING, 1.0))
     details = with_in_flight(details, dataset, catalogue, loaded)
     return DiagnosisResult(details.diagnosis, loaded, dataset, details)
@@ -114,6 +118,7 @@ def compare_hover(
     vehicle: Vehicle | str | Path,
     *,
     mapping: str | Path | None = None,
+    system: int | None = None,
 ) -> TrimComparison:
     """Whether a rotor works harder in hover than in normal flights of the same vehicle.
 
@@ -123,6 +128,7 @@ def compare_hover(
     normal: normal flights of the vehicle, likewise.
     vehicle: as for `compare`.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as for `compare`.
 
     Returns a TrimComparison: the verdict, and each rotor's share of the commands.
     Raises RequestError for logs that cannot be found, DataError for flights without hover.
@@ -134,9 +140,10 @@ def compare_hover(
     with workbench("alula.compare_hover"):
         from diagnosis.hover_trim import read_trim
     loaded = vehicle_of(vehicle)
-    return read_trim(
-        log_paths(logs, mapping), log_paths(normal, mapping), loaded, None if mapping is None else Path(mapping)
-    )
+    with system_chosen(system):
+        return read_trim(
+            log_paths(logs, mapping), log_paths(normal, mapping), loaded, None if mapping is None else Path(mapping)
+        )
 
 
 def add_effect(
@@ -149,6 +156,7 @@ def add_effect(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    system: int | None = None,
     progress: Progress = no_progress,
 ) -> AdditionResult:
     """Fit effects and add them to a vehicle, if held-out flights bear them out and no error rises there.
@@ -156,7 +164,7 @@ def add_effect(
     flights, vehicle: as for `compare`.
     effect: name in the catalogue; by default all that the diagnosis names, fitted jointly.
     rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
-    hold_out, effect_files, mapping, pose, progress: as for `diagnose`.
+    hold_out, effect_files, mapping, pose, system, progress: as for `diagnose`.
 
     Returns an AdditionResult, whose vehicle has the effects; nothing is written yet.
     Raises RequestError for an unknown effect, DataError with the numbers where the flights do not bear it out.
@@ -179,7 +187,7 @@ def add_effect(
     catalogue = catalogue_of(loaded)
     if effect is not None and effect in catalogue and rotor is not None:
         check_effect(EffectUse(effect, {}, rotor), loaded.rotors.count, catalogue=catalogue)
-    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING))
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING), system)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     details = add_to_vehicle(
         effect,
@@ -261,6 +269,7 @@ def prove(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    system: int | None = None,
     progress: Progress = no_progress,
 ) -> ProofResult:
     """Compare two versions of a vehicle on held-out flights, and what the controller gains by the second.
@@ -269,7 +278,7 @@ def prove(
     before: the version to compare with, likewise.
     fly: a reference, such as "Lemniscate", to fly in simulation on a vehicle with the effects of `vehicle`, with either
         version in the controller.
-    hold_out, effect_files, mapping, pose, progress: as for `diagnose`.
+    hold_out, effect_files, mapping, pose, system, progress: as for `diagnose`.
 
     Returns a ProofResult.
     Raises RequestError for logs, a vehicle or a reference that cannot be used, DataError for flights that cannot
@@ -287,7 +296,7 @@ def prove(
 
     present, first = vehicle_of(vehicle, effect_files), vehicle_of(before, effect_files)
     catalogue = catalogue_of(present)
-    dataset = dataset_of(flights, present, hold_out, mapping, pose, part_of(progress, 0.0, READING))
+    dataset = dataset_of(flights, present, hold_out, mapping, pose, part_of(progress, 0.0, READING), system)
     end = 1.0 if fly is None else 0.5
     report = prove_versions(dataset, first, present, catalogue, part_of(progress, READING, end))
     if fly is None:

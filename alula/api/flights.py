@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from alula.api.inputs import catalogue_with, log_paths, vehicle_of
 from alula.workbench import workbench
 from dynamics.errors import RequestError
+from dynamics.recorded_vehicle import system_chosen
 
 if TYPE_CHECKING:
     from dynamics.effect_card import EffectCard
@@ -50,7 +51,7 @@ def describe_effects(
     """
     from dynamics.effect_card import effect_cards
     from dynamics.own_effects import catalogue_of
-    from dynamics.vehicle_file import nearest
+    from dynamics.spelling import nearest
 
     loaded = None if vehicle is None else vehicle_of(vehicle, effect_files)
     catalogue = catalogue_with(effect_files) if loaded is None else catalogue_of(loaded)
@@ -62,12 +63,15 @@ def describe_effects(
     return tuple(card for card in cards if not names or card.effect.name in names)
 
 
-def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Flight:
+def read_flight(
+    log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None, system: int | None = None
+) -> Flight:
     """One flight from a log of any known format, as one table on one clock.
 
     log: ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, Crazyflie log or ROS bag; the content decides which.
     mapping: column mapping (TOML) for a CSV file of another tool.
     rate: rows a second, Hz; by default the rate of the log's gyro.
+    system: system id of the vehicle to read where a tlog holds several; by default the first autopilot.
 
     Returns a Flight: `flight.time` is (n,) s, `flight["velocity"]` (n, 3) m/s, NaN where there was no sample.
     Raises RequestError for a path, mapping or format that is wrong, DataError for a log without a flight.
@@ -78,15 +82,19 @@ def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: flo
     """
     with workbench("alula.read_flight"):
         from flights import Flight
-    return Flight.read(log, mapping=mapping, rate=rate)
+    with system_chosen(system):
+        return Flight.read(log, mapping=mapping, rate=rate)
 
 
-def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path | None = None) -> tuple[Flight, ...]:
+def read_flights(
+    logs: str | Path | Sequence[str | Path], *, mapping: str | Path | None = None, system: int | None = None
+) -> tuple[Flight, ...]:
     """The flights of several logs at one rate, that of the slowest, as comparisons and diagnoses need them.
 
     logs: paths, a folder, or a pattern such as "logs/*.ulg". A folder stands for every log below it; a tlog beside an
         MCAP recording of the same name is the same flight and left out.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as for `read_flight`.
 
     Returns the flights in the order of the logs.
     Raises RequestError and DataError as `read_flight`, naming the log.
@@ -97,17 +105,23 @@ def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path
     """
     with workbench("alula.read_flights"):
         from diagnosis.data.dataset import read_flights as read
-    return tuple(read(log_paths(logs, mapping), mapping=mapping))
+    with system_chosen(system):
+        return tuple(read(log_paths(logs, mapping), mapping=mapping))
 
 
 def inspect(
-    log: Log | str | Path, *, mapping: str | Path | None = None, effect_files: Sequence[str | Path] = ()
+    log: Log | str | Path,
+    *,
+    mapping: str | Path | None = None,
+    effect_files: Sequence[str | Path] = (),
+    system: int | None = None,
 ) -> Inspection:
     """Whether a log is good enough, and for what: rates, gaps, clocks, frozen or impossible channels, excitation.
 
     log: a file, or what `alula.read_log` returned.
     mapping: column mapping (TOML) for a CSV file of another tool.
     effect_files: Python files with effects of your own, which might be identified from the log.
+    system: as for `read_flight`.
 
     Returns an Inspection: `verdict` is "good", "limited" or "unusable", `sentence` the reason, `effects` what can be
         identified, `advice` what would make a better log.
@@ -120,4 +134,6 @@ def inspect(
     with workbench("alula.inspect"):
         from flights import read_log
         from flights.quality.inspection import judge
-    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log, catalogue_with(effect_files))
+    with system_chosen(system):
+        content = read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log
+    return judge(content, catalogue_with(effect_files))

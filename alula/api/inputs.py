@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from alula.workbench import workbench
 from dynamics.errors import RequestError
 from dynamics.progress import Progress, no_progress
+from dynamics.recorded_vehicle import system_chosen
 
 if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
@@ -66,6 +67,7 @@ def dataset_of(
     mapping: str | Path | None,
     pose: str | None = None,
     progress: Progress = no_progress,
+    system: int | None = None,
 ) -> Dataset:
     """Flights, read where they are logs, divided into those to fit and those held out.
 
@@ -84,9 +86,10 @@ def dataset_of(
     if flights:
         flights = [replace(f, metadata=with_source(f.metadata, pose)) for f in flights]
         return make_dataset(flights, vehicle, hold_out=hold_out)
-    return read_dataset(
-        log_paths(paths, mapping), vehicle, hold_out=hold_out, mapping=mapping, pose=pose, progress=progress
-    )
+    with system_chosen(system):
+        return read_dataset(
+            log_paths(paths, mapping), vehicle, hold_out=hold_out, mapping=mapping, pose=pose, progress=progress
+        )
 
 
 def _files(path: Path, mapping: str | Path | None) -> Sequence[Path]:

@@ -12,6 +12,7 @@ from alula.api.inputs import log_paths
 from alula.api.results import EvaluationResult, ExportResult, TrainingResult
 from alula.workbench import workbench
 from dynamics.command import command_line
+from dynamics.recorded_vehicle import system_chosen
 from dynamics.trust import approve_given
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def train(
     validation: str | None = None,
     hold_out: str | None = None,
     mapping: str | Path | None = None,
+    system: int | None = None,
     seed: int = 0,
     ensemble: int = 4,
     jobs: int | None = None,
@@ -60,6 +62,7 @@ def train(
     validation: pattern of the file names to choose the best step by; by default every tenth flight.
     hold_out: pattern of the file names not to read at all.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as of `read_flight`.
     seed: seed of the first member; the others follow.
     ensemble: members.
     jobs: processes; by default one a core.
@@ -99,7 +102,8 @@ def train(
         resume=resume,
         overwrite=overwrite,
     )
-    trained = run(options, progress or _ignore)
+    with system_chosen(system):
+        trained = run(options, progress or _ignore)
     return TrainingResult(trained.card, trained, options.out)
 
 
@@ -110,6 +114,7 @@ def evaluate(
     vehicle: str | Path | None = None,
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
+    system: int | None = None,
     timing: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> EvaluationResult:
@@ -120,6 +125,7 @@ def evaluate(
     vehicle: vehicle file or name whose own model is evaluated beside the others.
     effect_files: Python files with effects of your own, beside those that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as of `read_flight`.
     timing: measure how long a prediction takes.
     progress: called with each model's name when it is evaluated.
 
@@ -133,14 +139,15 @@ def evaluate(
     with workbench("alula.evaluate"):
         from studies.evaluation.run import EvaluationAnswer, run
     approve_given(effect_files)
-    results = run(
-        (*_paths(models), *_paths(logs)),
-        None if vehicle is None else str(vehicle),
-        mapping=None if mapping is None else Path(mapping),
-        timed=timing,
-        effect_files=_paths(effect_files),
-        done=progress or _ignore,
-    )
+    with system_chosen(system):
+        results = run(
+            (*_paths(models), *_paths(logs)),
+            None if vehicle is None else str(vehicle),
+            mapping=None if mapping is None else Path(mapping),
+            timed=timing,
+            effect_files=_paths(effect_files),
+            done=progress or _ignore,
+        )
     return EvaluationResult(EvaluationAnswer(results.evaluated, results.timings), results.tables, results)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from dynamics.files import write_json
+from dynamics.files import write_answer
 
 if TYPE_CHECKING:
     from diagnosis.addition import Addition
@@ -55,7 +55,7 @@ class ComparisonResult:
 
     def write_json(self, path: str | Path) -> None:
         """Write the report as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
-        write_json(self.report, Path(path))
+        write_answer(self.report, Path(path))
 
     def write_html(self, path: str | Path) -> None:
         """Write a page with all pictures, one file. Raises RequestError when it cannot be written."""
@@ -101,7 +101,7 @@ class DiagnosisResult:
 
     def write_json(self, path: str | Path) -> None:
         """Write the report as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
-        write_json(self.report, Path(path))
+        write_answer(self.report, Path(path))
 
     def write_html(self, path: str | Path, *, add_command: str = "") -> None:
         """Write a page with all pictures, one file. Raises RequestError when it cannot be written.
@@ -153,7 +153,7 @@ class FleetResult:
 
     def write_json(self, path: str | Path) -> None:
         """Write the report as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
-        write_json(self.report, Path(path))
+        write_answer(self.report, Path(path))
 
     def write_html(self, path: str | Path) -> None:
         """Write a page with tables and pictures, one file. Raises RequestError when it cannot be written."""
@@ -216,7 +216,7 @@ class ProofResult:
     def write_json(self, path: str | Path) -> None:
         """Write both as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
         flown = None if self.flown is None else msgspec.to_builtins(self.flown)
-        write_json({**msgspec.to_builtins(self.report), "flown": flown}, Path(path))
+        write_answer({**msgspec.to_builtins(self.report), "flown": flown}, Path(path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +336,7 @@ class EvaluationResult:
 
     def write_json(self, path: str | Path) -> None:
         """Write every figure as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
-        write_json(self.report, Path(path))
+        write_answer(self.report, Path(path))
 
     def write_csv(self, folder: str | Path) -> list[Path]:
         """Write each table as a CSV file. Raises RequestError when one cannot be written. Returns the files."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from alula.api.inputs import log_paths, vehicle_of
 from alula.workbench import workbench
 from dynamics.command import command_line
+from dynamics.recorded_vehicle import system_chosen
 
 if TYPE_CHECKING:
     from diagnosis.vehicle_check import VehicleCheck
@@ -71,6 +72,7 @@ def vehicle_from_logs(
     frame: str | None = None,
     autopilot: str | None = None,
     mapping: str | Path | None = None,
+    system: int | None = None,
 ) -> LogVehicle:
     """A vehicle from its logs: layout by the autopilot's parameters, constants estimated from the flights.
 
@@ -83,6 +85,7 @@ def vehicle_from_logs(
     frame: as of `new_vehicle`, for logs whose parameters state no layout of rotors; needs `arm`.
     autopilot: "px4", "ardupilot", "crazyflie" or "betaflight", whose motor numbers the file has; by default the logs'.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as of `read_flight`.
 
     Returns a LogVehicle: `draft` as of `new_vehicle`, `identified` the estimates with their intervals.
     Raises RequestError for logs that cannot be used, DataError for logs without a layout.
@@ -93,18 +96,19 @@ def vehicle_from_logs(
     """
     with workbench("alula.vehicle_from_logs"):
         from diagnosis.vehicle_from_logs import vehicle_from_logs as from_logs
-    return from_logs(
-        log_paths(logs, mapping),
-        name=name,
-        mass=mass,
-        arm=arm,
-        propeller=propeller,
-        speed_max=speed_max,
-        frame=frame,
-        autopilot=autopilot,
-        mapping=mapping,
-        command=command_line(),
-    )
+    with system_chosen(system):
+        return from_logs(
+            log_paths(logs, mapping),
+            name=name,
+            mass=mass,
+            arm=arm,
+            propeller=propeller,
+            speed_max=speed_max,
+            frame=frame,
+            autopilot=autopilot,
+            mapping=mapping,
+            command=command_line(),
+        )
 
 
 def check_vehicle(
@@ -113,6 +117,7 @@ def check_vehicle(
     *,
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
+    system: int | None = None,
 ) -> VehicleCheck:
     """Compare a vehicle file with logs of the vehicle: which number disagrees, and by how much.
 
@@ -120,6 +125,7 @@ def check_vehicle(
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
     effect_files: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
+    system: as of `read_flight`.
 
     Returns a VehicleCheck: `agrees`, and `numbers`, each with an `answer` and a `text`.
     Raises RequestError for logs or a vehicle that cannot be used.
@@ -133,4 +139,5 @@ def check_vehicle(
     from dynamics.own_effects import catalogue_of
 
     loaded = vehicle_of(vehicle, effect_files)
-    return check(log_paths(logs, mapping), loaded, catalogue_of(loaded), mapping=mapping)
+    with system_chosen(system):
+        return check(log_paths(logs, mapping), loaded, catalogue_of(loaded), mapping=mapping)

@@ -18,7 +18,7 @@ from alula.cli.progress import stage_bar
 from alula.cli.tables import before_and_after, open_loop_table
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 
 if TYPE_CHECKING:
     from alula.api.results import AdditionResult, FlightAdditionResult
@@ -110,7 +110,7 @@ def _write(
     """Write the vehicle file and the JSON, and show the rest."""
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:
-        write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
+        write_answer(msgspec.structs.replace(result.report, vehicle=str(path)), json)
     if json != STANDARD_OUTPUT:
         console = Console()
         show(console)

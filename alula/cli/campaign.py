@@ -14,7 +14,7 @@ from alula.cli.options import Effects
 from alula.cli.output import print_next
 from alula.workbench import workbench
 from dynamics.errors import RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 
 if TYPE_CHECKING:
     from simulation.campaign import CampaignManifest
@@ -77,7 +77,7 @@ def campaign(
         task = bar.add_task("flying", total=len(request.flights))
         manifest = request.run(lambda summary: bar.update(task, advance=1, description=summary.name))
     if as_json:
-        write_json(manifest, STANDARD_OUTPUT)
+        write_answer(manifest, STANDARD_OUTPUT)
     else:
         _print(manifest, out, console)
         print_next("train", out, "--vehicle", vehicle, "--model", "pi_tcn", "--out", "pi_tcn.pt")

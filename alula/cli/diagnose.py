@@ -19,7 +19,7 @@ from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
 from alula.cli.progress import stage_bar
 from dynamics.errors import RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.references.catalogue import IDENTIFY
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def _following(
 def _compare_hover(logs: list[Path], normal: list[Path], vehicle: str, mapping: Path | None, json: Path | None) -> None:
     comparison = alula.compare_hover(logs, normal, vehicle, mapping=mapping)
     if json is not None:
-        write_json(comparison, json)
+        write_answer(comparison, json)
     if json != STANDARD_OUTPUT:
         _print_hover(comparison, Console(file=sys.stdout))
         print_next("diagnose", *logs, "--vehicle", vehicle, *options([("--mapping", mapping)]))

@@ -12,7 +12,7 @@ import alula
 from alula.cli.console import Console
 from alula.cli.options import Effects
 from alula.cli.output import print_next
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import effect_text
 
@@ -32,7 +32,7 @@ def effects(
     """List the effects that Alula knows: formula, units, usual size, what to fly to see one, what looks like it."""
     cards = alula.describe_effects(names or (), vehicle, effect_files=effects or ())
     if json is not None:
-        write_json([card.as_json for card in cards], json)
+        write_answer([card.as_json for card in cards], json)
     if json == STANDARD_OUTPUT:
         return
     console = Console()

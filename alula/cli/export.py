@@ -11,7 +11,7 @@ import alula
 from alula.cli.options import Effects
 from alula.cli.output import print_next
 from dynamics.errors import RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from runtime.control.bundle import Integrator
 from runtime.control.rti.processor import PROCESSORS, named_processor
 
@@ -50,7 +50,7 @@ def export(
         float | None, typer.Option(min=0.1, help="Length of the horizon, s; the vehicle file's, 1, if left out.")
     ] = None,
     windows: Annotated[int, typer.Option(min=10, help="Windows of each kind to compare on.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Seed of the random windows.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random windows.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing bundle.")] = False,
     flight_check: Annotated[
         bool,
@@ -80,7 +80,7 @@ def export(
         flight_check=flight_check,
     )
     if as_json:
-        write_json(result.report, STANDARD_OUTPUT)
+        write_answer(result.report, STANDARD_OUTPUT)
         return
     print("\n".join(result.summary))
     if (check := result.flight_check) is not None:
@@ -102,7 +102,7 @@ def _verify(bundle: Path, others: list[object], *, as_json: bool) -> None:
         raise RequestError("--verify checks a bundle that was exported: leave MODEL and --out out.")
     verification = alula.verify(bundle)
     if as_json:
-        write_json(verification, STANDARD_OUTPUT)
+        write_answer(verification, STANDARD_OUTPUT)
     else:
         print("\n".join(verification.lines))
     verification.require()

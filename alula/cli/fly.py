@@ -16,7 +16,7 @@ from alula.cli.options import LINK, Effects, LinkOption, Roaming, Signing, Syste
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError, VehicleError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.references import is_identification
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def fly(
         announce=partial(_announce, console),
     )
     if as_json:
-        write_json(report, STANDARD_OUTPUT)
+        write_answer(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
         print_next(*_following(report, vehicle, bundle, record, [reference, link, signing_key]))

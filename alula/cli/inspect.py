@@ -18,7 +18,7 @@ from alula.cli.intake import note_skipped
 from alula.cli.options import Effects, Mapping, Pose, RecordedSystem
 from alula.cli.output import options, print_next
 from dynamics.errors import AlulaError, DataError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from studio.pages.provenance import origin
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def inspect(
                 raise
             refused.append(error)
     if as_json:
-        write_json(inspections, STANDARD_OUTPUT)
+        write_answer(inspections, STANDARD_OUTPUT)
     else:
         console = Console()
         for inspection in inspections:

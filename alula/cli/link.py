@@ -16,7 +16,7 @@ from alula.cli.console import Console
 from alula.cli.options import LINK, Effects, LinkOption, Signing, System, Timeout
 from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.signing_key import read_signing_key, write_signing_key
 from dynamics.vehicle_file import parse_vehicle
 from runtime.flight.composition import vehicle_facts
@@ -86,7 +86,7 @@ def link(
         signing_key=None if signing_key is None else read_signing_key(signing_key),
     )
     if as_json:
-        write_json(_as_plain(report), STANDARD_OUTPUT)
+        write_answer(_as_plain(report), STANDARD_OUTPUT)
     else:
         _print(report, Console())
         print_next(*_following(report, link, vehicle, bundle, signing_key))

@@ -12,7 +12,7 @@ from alula.cli.options import Effects
 from alula.cli.output import print_next
 from alula.workbench import workbench
 from dynamics.errors import DataError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from runtime.flight_setup import recorded_flight
 from runtime.record.recording import damage_named, newest_recording, read_recording
 from runtime.replay import ReplayReport
@@ -50,7 +50,7 @@ def replay(
     with damage_named(recording):
         report = replay_recording(read, *recorded_flight(read, vehicle, bundle, effects or ()))
     if as_json:
-        write_json(report, STANDARD_OUTPUT)
+        write_answer(report, STANDARD_OUTPUT)
     else:
         print("\n".join(report.lines))
         file = vehicle or (None if bundle is None else f"{bundle}/vehicle.toml")

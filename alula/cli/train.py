@@ -18,7 +18,7 @@ from alula.cli.intake import vehicle_of_logs
 from alula.cli.options import Effects, Mapping, RecordedSystem, VehicleOption
 from alula.cli.output import print_next
 from dynamics.errors import RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer
 from training.config import ModelConfig
 from training.folder import run_folder
 from training.models import KINDS
@@ -206,7 +206,7 @@ def train(
             ),
         )
     if as_json:
-        write_json(result.report, STANDARD_OUTPUT)
+        write_answer(result.report, STANDARD_OUTPUT)
     else:
         _print(result.model, out, console)
         _print_advice(result.report.of_nominal, logs, vehicle, out, console)

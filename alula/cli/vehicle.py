@@ -19,7 +19,7 @@ from alula.cli.options import Mapping as MappingOption
 from alula.cli.output import command, options, print_next
 from dynamics.autopilot_frames import AUTOPILOTS, FRAMES
 from dynamics.errors import DataError, RequestError
-from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.files import STANDARD_OUTPUT, write_answer, write_json
 from dynamics.vehicle_file import find_vehicle, write_vehicle_text
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ commands = typer.Typer(no_args_is_help=True, context_settings={"help_option_name
 
 @commands.callback()
 def vehicle() -> None:
-    """Make a vehicle file of parts or of logs, compare one with logs, show its layout."""
+    """Make a vehicle file of parts or of logs, compare one with logs, show its layout, print its schema."""
 
 
 @commands.command()
@@ -143,7 +143,7 @@ def check(
     vehicle = vehicle_of_logs(logs, vehicle, mapping)
     answer = alula.check_vehicle(logs, vehicle, effect_files=effects or (), mapping=mapping)
     if json is not None:
-        write_json(answer, json)
+        write_answer(answer, json)
     if json != STANDARD_OUTPUT:
         _print_check(answer, logs, vehicle)
     if all(number.answer == "open" for number in answer.numbers):
@@ -170,7 +170,7 @@ def show(
         for name, position, spin in zip(rotor_names(loaded), loaded.rotors.position, loaded.rotors.spin, strict=True)
     ]
     if json is not None:
-        write_json({"vehicle": loaded.name, "rotors": rotors, "picture": str(path)}, json)
+        write_answer({"vehicle": loaded.name, "rotors": rotors, "picture": str(path)}, json)
     if json == STANDARD_OUTPUT:
         return
     console = Console()
@@ -184,6 +184,16 @@ def show(
     )
     console.print(f"written: {path}", highlight=False)
     print_next("mock", "--vehicle", vehicle)
+
+
+@commands.command()
+def schema(
+    out: Annotated[Path, typer.Option(help="File to write; - for standard output.")] = STANDARD_OUTPUT,
+) -> None:
+    """Print the JSON Schema of the vehicle file, by which editors complete keys and show units and bounds."""
+    from dynamics.vehicle_schema import vehicle_schema
+
+    write_json(vehicle_schema(), out)  # whose keys are those of JSON Schema
 
 
 def quantity(text: str, name: str) -> float:
@@ -211,7 +221,7 @@ def _answered(answers: Mapping[str, str | None]) -> dict[str, str]:
 
 def _report(draft: Draft, path: Path | None, json: Path | None, following: list[object]) -> None:
     if json is not None:
-        write_json({"path": None if path is None else str(path), "draft": draft, "next": command(*following)}, json)
+        write_answer({"path": None if path is None else str(path), "draft": draft, "next": command(*following)}, json)
     if json == STANDARD_OUTPUT:
         return
     console = Console()

@@ -6,6 +6,8 @@ from typing import Literal
 
 import msgspec
 
+from diagnosis.models.channels import NAMES
+
 Reason = Literal[
     "too_small",
     "interval_holds_neutral",
@@ -59,21 +61,24 @@ class Refused(msgspec.Struct, frozen=True):
 def reason_of(refused: Refused) -> str:
     """Why an effect was refused, in words and numbers, after its name and a colon."""
     number = {name: f"{value:.4g}" for name, value in refused.detail.items()}
+    where = NAMES.get(refused.where, refused.where)
     match refused.reason:
         case "too_small" if "signal" in number:
             text = (
-                f"it is too small to matter: it moves {refused.where} by {number['signal']} RMS, whose noise floor is "
+                f"it is too small to matter: it moves {where} by {number['signal']} RMS, whose noise floor is "
                 f"{number['floor']}"
             )
         case "too_small":
+            falls = refused.detail["after"] < refused.detail["before"]
             text = (
-                f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "
-                f"{number['before']} to {number['after']}, its noise floor is {number['floor']}"
+                f"it is too small to matter: on the held-out flights the error of {where} "
+                f"{'falls' if falls else 'rises, and no other falls more'}, from {number['before']} to "
+                f"{number['after']}, its noise floor is {number['floor']}"
             )
         case "slight":
             text = (
                 f"it changes the motion that the model explains by {number['share']} of it at most, in "
-                f"{refused.where}; below {number['required']} nothing that flies differs"
+                f"{where}; below {number['required']} nothing that flies differs"
             )
         case "redundant":
             text = "the vehicle file's own effects, fitted again, explain as much"
@@ -84,12 +89,12 @@ def reason_of(refused: Refused) -> str:
             )
         case "channel_worse" | "contradicted":
             text = (
-                f"on the held-out flights the error of {refused.where} rises from {number['before']} to "
+                f"on the held-out flights the error of {where} rises from {number['before']} to "
                 f"{number['after']}, beyond chance"
             )
         case "open_loop_worse":
             text = (
-                f"on the held-out flights the {refused.where} predicted in open loop becomes worse, {number['before']} "
+                f"on the held-out flights the {where} predicted in open loop becomes worse, {number['before']} "
                 f"before and {number['after']} after, of a motion of {number['motion']}"
             )
         case "open_loop_alike":
@@ -98,7 +103,7 @@ def reason_of(refused: Refused) -> str:
                 f"{number['deviations']} standard deviations, {number['required']} are required"
             )
         case "at_bound":
-            text = f"the value of {refused.where} that fits these flights best lies at its physical bound"
+            text = f"the value of {where} that fits these flights best lies at its physical bound"
         case "not_converged":
             text = "its fit does not converge on these flights"
         case "few_resamples":
@@ -111,19 +116,19 @@ def reason_of(refused: Refused) -> str:
             )
         case "overshadowed":
             text = (
-                f"it explains {number['share']} of the squared error of {refused.where} that is still unexplained; "
+                f"it explains {number['share']} of the squared error of {where} that is still unexplained; "
                 "any regressor would explain that little"
             )
         case "predictable" if refused.where == "line":
             text = f"air in motion has no line in its spectrum, but one has {number['share']} of the power of this one"
         case "predictable":
             text = (
-                f"air in motion is no function of the {refused.where}, but that predicts {number['share']} of what it "
+                f"air in motion is no function of the {where}, but that predicts {number['share']} of what it "
                 f"explains, on flights left out"
             )
         case "late_signal":
             text = (
-                f"a log whose {refused.where} is {delay_in_words(refused.detail['delay'])} explains as much, and the "
+                f"a log whose {where} is {delay_in_words(refused.detail['delay'])} explains as much, and the "
                 "effect next to nothing beside that"
             )
         case "worse_than_rival":

@@ -11,8 +11,8 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.errors import RequestError
 from dynamics.references.catalogue import IDENTIFY
+from dynamics.spelling import nearest
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import nearest
 
 KEYS = ("duration", "box", "speed", "for", "seed")
 EXAMPLE = "Write identify or identify:key=value,..., as in identify:duration=40,box=4x4x2.5,speed=5,for=drag+inertia"

@@ -17,6 +17,7 @@ import numpy as np
 
 from dynamics.errors import RequestError
 from dynamics.references import MANOEUVRES, PAPER
+from dynamics.spelling import unknown
 
 Split = Literal["train", "test"]
 
@@ -102,8 +103,8 @@ def chosen_flights(flights: Sequence[CampaignFlight], patterns: Sequence[str]) -
         return tuple(flights)
     for pattern in patterns:
         if not any(_matches(flight, pattern) for flight in flights):
-            names = ", ".join(flight.name for flight in flights)
-            raise RequestError(f"no flight of the campaign is called {pattern!r}. Known: test, train, {names}.")
+            names = ("test", "train", *(flight.name for flight in flights))
+            raise RequestError(f"no flight of the campaign is called {pattern!r}{unknown(pattern, names)}")
     return tuple(flight for flight in flights if any(_matches(flight, pattern) for pattern in patterns))
 
 

@@ -9,12 +9,13 @@ import msgspec
 import numpy as np
 
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.references.manoeuvres import PAPER, PLAIN, Manoeuvre
 from dynamics.references.reference import Reference
 from dynamics.references.table import read_table
 from dynamics.references.time_law import TimeLaw
+from dynamics.spelling import nearest
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import nearest
 
 MANOEUVRES = {**PAPER, **PLAIN}
 IDENTIFY = "identify"
@@ -107,7 +108,7 @@ def _parse_shape(text: str, rest: str) -> Shape:
     try:
         return msgspec.convert(values, Shape, strict=False)
     except msgspec.ValidationError as error:
-        raise RequestError(f"reference {text!r}: {error}. {_EXAMPLE}.") from None
+        raise RequestError(f"reference {text!r}: {described(error)}. {_EXAMPLE}.") from None
 
 
 def _number(text: str, key: str, value: str) -> float:

@@ -24,6 +24,9 @@ WORDS = {
     WRENCH: "rotor speeds or commands, fast enough",
     COMMAND: "rotor commands, fast enough",
 }
+NONE: Mapping[str, str] = {}
+# What an unknown gain or lag of motor commands takes up: `Effect.acts_on`.
+NEEDS_SPEEDS = ("command_gain", "rotor_speed_reading", "rotor_clock")
 
 
 class EffectAnswer(msgspec.Struct, frozen=True):
@@ -40,27 +43,42 @@ class EffectAnswer(msgspec.Struct, frozen=True):
 
 
 def answers(
-    have: Collection[str], measured: Mapping[str, float], catalogue: Mapping[str, Effect] = CATALOGUE
+    have: Collection[str],
+    measured: Mapping[str, float],
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    *,
+    untrusted: Mapping[str, str] = NONE,
 ) -> tuple[EffectAnswer, ...]:
     """Whether each effect of the catalogue that names its excitation can be identified.
 
     have: usable quantities.
     measured: by `excitation.measures`.
+    untrusted: why quantities that are logged are not usable, by quantity.
     """
     return tuple(
-        _answer(effect, effect.excitation, have, measured)
+        _answer(effect, effect.excitation, have, measured, untrusted)
         for effect in catalogue.values()
         if effect.excitation is not None
     )
 
 
-def _answer(effect: Effect, need: Excitation, have: Collection[str], measured: Mapping[str, float]) -> EffectAnswer:
+def _answer(
+    effect: Effect,
+    need: Excitation,
+    have: Collection[str],
+    measured: Mapping[str, float],
+    untrusted: Mapping[str, str],
+) -> EffectAnswer:
     def answer(possible: Identifiability, why: str) -> EffectAnswer:
         return EffectAnswer(effect.name, possible, why, ", ".join(effect.confounded_with))
 
     lacking = [group for group in need.channels if not set(group) & set(have)]
     if lacking:
-        return answer("no", "needs " + " and ".join(map(_named, lacking)))
+        return answer("no", "needs " + " and ".join(_named(group, untrusted) for group in lacking))
+    if "rotor_speed" not in have and effect.acts_on in NEEDS_SPEEDS:
+        return answer("no", "needs measured rotor speeds: what commands do takes it up in every fit")
+    if "rotor_speed" not in have and effect.acts_on == "weight":
+        return answer("weakly", "without measured rotor speeds only the vehicle's drag tells it from the motors' gain")
     if need.unlogged:
         return answer("weakly", f"the log does not say {need.unlogged}; {need.flight}")
     size = measured.get(need.measure)
@@ -72,5 +90,8 @@ def _answer(effect: Effect, need: Excitation, have: Collection[str], measured: M
     return answer("weakly" if size >= need.weak else "no", f"{measure}, wanted {need.enough:g}; fly {need.flight}")
 
 
-def _named(group: tuple[str, ...]) -> str:
-    return WORDS.get(group, " or ".join(name.replace("_", " ") for name in group))
+def _named(group: tuple[str, ...], untrusted: Mapping[str, str]) -> str:
+    """A group of quantities in words, with why one that is logged does not count."""
+    text = WORDS.get(group, " or ".join(name.replace("_", " ") for name in group))
+    reason = next((untrusted[name] for name in group if name in untrusted), "")
+    return f"{text}, {reason}" if reason else text

@@ -13,6 +13,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.excitation import DRIVE, MEASURES, WRENCH
 from flights import plausibility
+from flights.assembly import EMPTY
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
@@ -25,7 +26,7 @@ from flights.quality.findings import Finding
 from flights.quality.identifiable import EffectAnswer, answers
 from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
-from flights.quantities import RESET_COUNTERS
+from flights.quantities import MOTION, RESET_COUNTERS
 from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
@@ -93,14 +94,15 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     findings = [
         *_framed(log),
         *_actuation(log),
-        *_amount(measured),
+        *_empty(log),
+        *_amount(measured, log),
         *_clocks(delays),
         *_resets(log),
         *rotor_findings(segments),
         *imbalance_findings(log, flying),
         *channel_findings(log, flying),
     ]
-    effects = answers(_trusted(usable, findings), measured, catalogue)
+    effects = answers(_trusted(usable, findings), measured, catalogue, untrusted=_untrusted(findings))
     verdict = _verdict(findings, effects)
     return Inspection(
         path=log.provenance.path,
@@ -143,8 +145,17 @@ def _usable(log: Log) -> set[str]:
 
 def _trusted(usable: set[str], findings: Sequence[Finding]) -> set[str]:
     """The usable quantities without a battery whose voltage stands still."""
-    stuck = any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
+    stuck = _is_battery_frozen(findings)
     return usable - {"battery_voltage"} if stuck else usable
+
+
+def _untrusted(findings: Sequence[Finding]) -> dict[str, str]:
+    """Why a quantity that is logged is not used, by quantity."""
+    return {"battery_voltage": "which is logged but stands still"} if _is_battery_frozen(findings) else {}
+
+
+def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
+    return any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
 
 
 def _framed(log: Log) -> list[Finding]:
@@ -189,14 +200,36 @@ def _actuation(log: Log) -> list[Finding]:
     return findings
 
 
-def _amount(measured: dict[str, float]) -> list[Finding]:
+def _empty(log: Log) -> list[Finding]:
+    """Columns without a number anywhere: what needs them finds no flight."""
+    findings = []
+    for stream in map(log.stream, log.names):
+        if stream is None or not len(stream.values):
+            continue
+        empty = [name for name, column in zip(stream.columns, stream.values.T, strict=True) if np.isnan(column).all()]
+        if empty:
+            findings.append(
+                Finding(
+                    "error" if stream.name in MOTION else "warning",
+                    "empty_column",
+                    f"{' and '.join(empty)} {'holds' if len(empty) == 1 else 'hold'} no number at all",
+                    f"write {stream.name} again from the original log, or leave its columns out",
+                    fatal=stream.name in MOTION,
+                )
+            )
+    return findings
+
+
+def _amount(measured: dict[str, float], log: Log) -> list[Finding]:
     if measured["duration"] >= MIN_FLIGHT:
         return []
+    empty = "".join(f"; {note}" for note in log.provenance.notes if note.endswith(EMPTY))
     return [
         Finding(
             "error",
             "no_flight",
-            f"only {measured['duration']:.1f} s of free flight are in this log, wanted {MIN_FLIGHT:.0f} s at least",
+            f"only {measured['duration']:.1f} s of free flight are in this log, wanted {MIN_FLIGHT:.0f} s at "
+            f"least{empty}",
             "fly longer, and log velocity, attitude and body rates without gaps",
             fatal=True,
         )
@@ -207,7 +240,7 @@ def _clocks(delays: Sequence[Delay]) -> list[Finding]:
     clocks = [delay for delay in delays if not delay.is_response]
     late = [d for d in clocks if d.is_known and abs(d.seconds) > NOTABLE_DELAY and not d.low <= 0.0 <= d.high]
     findings = [
-        Finding("note", "clock_offset", str(delay), "remove it with flights.delays.remove_delays before a fit")
+        Finding("note", "clock_offset", str(delay), "nothing: it is removed before a model is compared or fitted")
         for delay in late
     ]
     return findings + [

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
-from dynamics.vehicle_file import nearest
+from dynamics.spelling import nearest
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.quantities import PRIMARY, QUANTITIES, known_columns, quantity_of

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -38,12 +39,18 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "CURR": ("Volt", "Curr"),
     "ARM": ("ArmState",),
 }
+_FMT_AS_TEXT = re.compile(rb"^FMT, ?\d+, ?\d+, ?[A-Z0-9]{1,4}, ?[A-Za-z]+, ?[^\r\n]+$", re.MULTILINE)
 _INSTANCES = ("C", "I", "Instance", "Inst")
 
 
 def matches(source: Source) -> bool:
     """Whether it begins with a FMT message."""
     return source.head.startswith(_MAGIC)
+
+
+def is_text(source: Source) -> bool:
+    """Whether it is such a log that a ground station has written as text (.log)."""
+    return _FMT_AS_TEXT.search(source.head) is not None
 
 
 def read(source: Source) -> LogContent:

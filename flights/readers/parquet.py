@@ -11,12 +11,15 @@ import pyarrow.parquet as pa_parquet
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.unpacking import Unpacking
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.quantities import quantity_of
 from flights.readers import csv
 from flights.source import Source
 from flights.tables import TIME, decode_notes
+
+BATCH_ROWS = 1 << 16  # that are unpacked at once
 
 
 def matches(source: Source) -> bool:
@@ -67,18 +70,20 @@ def names_of(source: Source) -> tuple[str, ...]:
 def read_columns(source: Source, used: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
     """Columns as numbers, all rows or those that a cut selects. Raises DataError for a torn file and for no numbers."""
     with _opened(source) as file:
-        return _columns(file, used, cut)
+        return _columns(file, source, used, cut)
 
 
-def _columns(file: pa_parquet.ParquetFile, used: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
+def _columns(
+    file: pa_parquet.ParquetFile, source: Source, used: Sequence[str], cut: csv.Cut | None
+) -> dict[str, Floats]:
     """The used columns, all rows or those of a span, for which only the row groups of the span are read."""
     if cut is None:
-        table = file.read(columns=list(used))
+        table = _within_limits(file, source, used, range(file.num_row_groups))
         return {name: _numbers(table.column(name), name) for name in used}
     parts: dict[str, list[Floats]] = {name: [] for name in used}
     for group in range(cut.span.place or 0, file.num_row_groups):
         cut.begin(group)
-        table = file.read_row_group(group, columns=list(used))
+        table = _within_limits(file, source, used, [group])
         block = {name: _numbers(table.column(name), name) for name in used}
         rows = cut.mask(block)
         for name, values in block.items():
@@ -86,6 +91,31 @@ def _columns(file: pa_parquet.ParquetFile, used: Sequence[str], cut: csv.Cut | N
         if cut.is_over:
             break
     return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}
+
+
+def _within_limits(
+    file: pa_parquet.ParquetFile, source: Source, used: Sequence[str], groups: Sequence[int]
+) -> pa.Table:
+    """Row groups, read in steps. Raises RequestError where they unpack beyond the limits, before or while they do.
+
+    Pages of equal values take a few bytes however many they are: it is the numbers that fill the memory.
+    """
+    size = source.file.stat().st_size
+    declared = sum(_unpacked_size(file.metadata.row_group(group), used) for group in groups)
+    Unpacking(source.path, size).add_bytes(declared, size)
+    unpacking, batches = Unpacking(source.path, size), []
+    for batch in file.iter_batches(BATCH_ROWS, row_groups=list(groups), columns=list(used)):
+        unpacking.add_bytes(batch.nbytes, size)
+        batches.append(batch)
+    schema = pa.schema([file.schema_arrow.field(name) for name in used])
+    return pa.Table.from_batches([batch.select(list(used)) for batch in batches], None if batches else schema)
+
+
+def _unpacked_size(group: pa_parquet.RowGroupMetaData, used: Sequence[str]) -> int:
+    """Bytes that a row group declares for the used columns, as pages or as numbers, whichever is more."""
+    columns = [group.column(index) for index in range(group.num_columns)]
+    pages = sum(column.total_uncompressed_size for column in columns if column.path_in_schema in used)
+    return max(int(pages), 8 * len(used) * int(group.num_rows))
 
 
 def _numbers(column: pa.ChunkedArray, name: str) -> Floats:

@@ -26,6 +26,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import LogContent
+from flights.readers.bag_limits import limits_of
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
 from flights.source import Source, TimeSpan
 
@@ -78,7 +79,11 @@ def read(source: Source) -> LogContent:
     assembly = Assembly()
     store = get_typestore(Stores.ROS2_HUMBLE)  # for older bags of ROS 2, without definitions in them
     try:
-        with _named(source) as path, AnyReader([path], default_typestore=store) as reader:
+        with (
+            limits_of(source.path),
+            _named(source) as path,
+            AnyReader([path], default_typestore=store) as reader,
+        ):
             _read_topics(reader, assembly, source.span)
     except _BROKEN as error:
         raise DataError(

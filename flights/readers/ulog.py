@@ -20,6 +20,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
+from flights.events import px4_mode
 from flights.log import LogContent
 from flights.pose_source import AIDING
 from flights.readers import ulog_rotors
@@ -76,6 +77,7 @@ def read(source: Source) -> LogContent:
             add(assembly, topics)
         except (KeyError, ValueError, IndexError) as error:  # fields that another version of PX4 has otherwise
             assembly.repair("stream_left_out", f"{add.__name__.strip('_')}: its topic is left out ({error!r})")
+    _messages(log, assembly)
     return assembly.finish()
 
 
@@ -137,6 +139,23 @@ def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
     if kind is not None:
         assembly.metadata["vehicle_type"] = str(kind)
     return kind
+
+
+def _modes(assembly: Assembly, topics: Topics) -> None:
+    """Add the changes of mode."""
+    status = topics.get("vehicle_status")
+    if status is None or not status.has("nav_state"):
+        return
+    states = status["nav_state"]
+    for row in np.flatnonzero(np.diff(states, prepend=np.nan)).tolist():
+        assembly.event(float(status.time[row]), "mode", px4_mode(int(states[row])))
+
+
+def _messages(log: ULog, assembly: Assembly) -> None:
+    """Add what the autopilot's log says."""
+    for message in log.logged_messages:
+        time = float(assembly.seconds([message.timestamp], 1_000_000)[0])
+        assembly.event(time, "message", f"{message.log_level_str()}: {message.message}")
 
 
 def _utc_start(topics: Topics) -> str:
@@ -312,4 +331,4 @@ def _aiding(assembly: Assembly, topics: Topics) -> None:
 
 _Add = Callable[[Assembly, Topics], None]
 _MOTION: Sequence[_Add] = (_local_position, _attitude, _rates, _specific_force, _odometry)
-_REST: Sequence[_Add] = (_battery, _setpoints, _armed, _landed, _aiding)
+_REST: Sequence[_Add] = (_battery, _setpoints, _armed, _landed, _aiding, _modes)

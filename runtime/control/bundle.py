@@ -23,6 +23,7 @@ from dynamics.approvals import Kind
 from dynamics.decoding import decode_json
 from dynamics.effect_source import ENDING, printable
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.network_inputs import Frame
 from dynamics.trust import approve_here, is_approved, quoted
 from dynamics.vehicle import Vehicle
@@ -252,7 +253,9 @@ def _read_manifest(path: Path) -> tuple[Manifest, str]:
     except OSError as error:
         raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
+        raise RequestError(
+            f"{path} is damaged or of another alula: {described(error)}. Export the model again."
+        ) from None
     if manifest.format != FORMAT or manifest.version != VERSION:
         raise RequestError(
             f"{path} is {manifest.format} {manifest.version}, required is {FORMAT} {VERSION}. Export again."

@@ -16,6 +16,7 @@ import msgspec
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.own_folder import locked, make_own_folder, read_own, replace_own, state_folder
 from dynamics.signing_key import TICKS, SigningKey, signing_ticks
 
@@ -138,7 +139,9 @@ class SigningClock:
         try:
             return decode_json(content, SigningState)
         except msgspec.MsgspecError as error:
-            raise _unusable(self._path, f"it is damaged: {error}. Make a new key and remove this file") from None
+            raise _unusable(
+                self._path, f"it is damaged: {described(error)}. Make a new key and remove this file"
+            ) from None
 
     def _write(self, timestamp: int, saved: SigningState) -> None:
         heard = _by_stream(saved)

@@ -19,6 +19,7 @@ from zstandard import ZstdError
 
 from dynamics.decoding import decode_json
 from dynamics.errors import DataError, RequestError
+from dynamics.field_errors import described
 from dynamics.mcap_chunks import records_of
 from runtime.record.records import TOPICS, Record
 
@@ -69,7 +70,7 @@ def damage_named(path: Path) -> Iterator[None]:
     try:
         yield
     except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        what = str(error).partition("\n")[0]
+        what = described(error).partition("\n")[0]
         raise DataError(
             f"{path} is damaged, or written by another alula: {type(error).__name__}: {what}. Give an intact copy, or "
             "`alula inspect` it for what can be read."

@@ -20,7 +20,7 @@ from studies.tables import Table
 from studies.tables_page import write_tables_page
 from training import checkpoint
 from training.config import physical_config
-from training.data.logged_flights import find_logs, read_logged_flights
+from training.data.logged_flights import find_logs, left_out, read_logged_flights
 from training.evaluation import (
     PLANT,
     VEHICLE_FILE,
@@ -85,7 +85,8 @@ def run(
     recordings = read_logged_flights(logs, dt=dt, mapping=mapping, may_be_tests=True)
     evaluated, judged = evaluate(models, recordings, campaign=campaign_of(logs), done=done)
     timings, missing = time_inference(judged) if timed else ((), ())
-    evaluated = msgspec.structs.replace(evaluated, notes=(*evaluated.notes, *missing))
+    notes = (*left_out(logs, recordings), *evaluated.notes, *missing)
+    evaluated = msgspec.structs.replace(evaluated, notes=notes)
     return Results(evaluated, timings, evaluation_tables(evaluated, timings), judged)
 
 

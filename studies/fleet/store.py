@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from diagnosis.models.channels import KINDS
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
-from dynamics.files import make_folder, write_json, write_whole
+from dynamics.files import make_folder, write_answer, write_whole
 from studies.fleet.files import ABOUT, LINES, LOCK, TABLE, FleetAbout
 from studies.fleet.flight import FleetFlight
 
@@ -72,7 +72,7 @@ class FleetStore:
 
     def write_about(self, folder: Path, count: int) -> None:
         """Write what the lines are of. Raises RequestError when it cannot be written."""
-        write_json(FleetAbout(str(folder.resolve()), count), self.folder / ABOUT)
+        write_answer(FleetAbout(str(folder.resolve()), count), self.folder / ABOUT)
 
     def drop(self, logs: Sequence[str]) -> None:
         """Remove the lines of logs, whose files or settings have changed. Raises RequestError as `append`."""

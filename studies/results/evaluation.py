@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from studies.evaluation.run import EvaluationAnswer
 from studies.evaluation.tables import evaluation_tables, summary_lines
 from studies.results.kinds import EVALUATION
@@ -25,7 +26,9 @@ def show(path: Path) -> Shown:
     try:
         answer = decode_json(path.read_bytes(), EvaluationAnswer)
     except (OSError, msgspec.MsgspecError) as error:
-        raise RequestError(f"{path} is no evaluation that this version reads: {error}. Evaluate again.") from error
+        raise RequestError(
+            f"{path} is no evaluation that this version reads: {described(error)}. Evaluate again."
+        ) from error
     report = answer.evaluated
     tables = evaluation_tables(report, answer.inference)
     return Shown(

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.spelling import unknown
 from dynamics.vehicle import Body, Vehicle
 from training.card import FlightError
 
@@ -131,7 +132,7 @@ def with_factors(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
         elif name == "k_tau":
             rotors = msgspec.structs.replace(rotors, torque_constant=rotors.torque_constant * factor)
         else:
-            raise RequestError(f"unknown constant {name!r}. Known: {', '.join(INERTIA)}, k_f, k_tau, mass.")
+            raise RequestError(f"unknown constant {name!r}{unknown(name, (*INERTIA, 'k_f', 'k_tau', 'mass'))}")
     prior = PriorBody(body.mass, (inertia[0], inertia[1], inertia[2]), body.centre_of_mass)
     return msgspec.structs.replace(vehicle, body=prior, rotors=rotors)
 

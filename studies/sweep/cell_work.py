@@ -11,6 +11,7 @@ import msgspec
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from flights.source import sha256
 from studies.sweep.cell import Cell, CellResult, FailedCell
 from training.config import ModelConfig
@@ -114,7 +115,7 @@ def finished(work: CellWork) -> CellResult | None:
         return None
     except (OSError, msgspec.MsgspecError) as error:
         raise RequestError(
-            f"{work.result_file} is no cell of a sweep: {error}. Delete it, or give another --out."
+            f"{work.result_file} is no cell of a sweep: {described(error)}. Delete it, or give another --out."
         ) from error
     if result.fingerprint != work.fingerprint:
         raise RequestError(

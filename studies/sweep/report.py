@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from dynamics.errors import DataError
-from dynamics.files import write_json
+from dynamics.files import write_answer
 from studies import figures
 from studies.sweep.catalogue import SEARCH
 from studies.sweep.cell import CellResult, FailedCell, Outcome, trained
@@ -89,7 +89,7 @@ def show(
         console.print(line, highlight=False)
     written = [] if csv is None else write_csv(tables, csv)
     if json_file is not None:
-        write_json(SweepAnswer.of(sweep.study, outcomes), json_file)
+        write_answer(SweepAnswer.of(sweep.study, outcomes), json_file)
     if pictures is not None:
         written += draw(sweep, outcomes, pictures)
     if html is not None:

@@ -13,6 +13,7 @@ import msgspec
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_json
+from dynamics.spelling import unknown
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from flights.folder import CAMPAIGN
 from studies.evaluation.run import find_flights
@@ -98,7 +99,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
     elif options.study in STUDIES:
         cells, along = STUDIES[options.study].cells(common), STUDIES[options.study].along
     else:
-        raise RequestError(f"unknown study {options.study!r}. Known: {', '.join((*STUDIES, GRID, SEARCH))}.")
+        raise RequestError(f"unknown study {options.study!r}{unknown(options.study, (*STUDIES, GRID, SEARCH))}")
     works = tuple(work(cell) for cell in cells)
     for one in works:
         one.settled()  # an invalid value ends the sweep before its first training
@@ -191,7 +192,7 @@ def _grid_values(texts: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, 
 
 def _require_field(name: str, struct: type[msgspec.Struct]) -> None:
     if name not in struct.__struct_fields__:
-        raise RequestError(f"a recipe has no {name!r}. Known: {', '.join(struct.__struct_fields__)}.")
+        raise RequestError(f"a recipe has no {name!r}{unknown(name, struct.__struct_fields__)}")
 
 
 def _value(text: str) -> Any:

@@ -24,6 +24,7 @@ from optuna.trial import TrialState, create_trial
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from studies.sweep.cell import Cell, CellResult, Outcome
 from studies.sweep.cell_work import CellWork, failure, finished
 from studies.sweep.execution import run_cells
@@ -109,7 +110,7 @@ class Search:
                 cell = decode_json(path.read_bytes(), CellResult).cell
             except (OSError, msgspec.MsgspecError) as error:
                 raise RequestError(
-                    f"{path} is no cell of a sweep: {error}. Delete it, or give another --out."
+                    f"{path} is no cell of a sweep: {described(error)}. Delete it, or give another --out."
                 ) from error
             if not self._is_ours(cell):
                 raise RequestError(

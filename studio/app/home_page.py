@@ -49,6 +49,12 @@ def layout(studio: Studio) -> Any:
                 "Bring flight logs and a vehicle file. Six steps lead from the logs to a model that predicts flights "
                 "it was not fitted on. Everything stays on this computer."
             ),
+            card(
+                "For a first look",
+                action("example", "Open an example", variant="light"),
+                note="Two flights of a simulated PX4 quadrotor with twice the drag of its vehicle file; diagnosing "
+                "them takes a minute or two.",
+            ),
             card("A new case", new, note=f"A case is a folder; new ones are made in {studio.root}."),
             card("Cases", html.Ul(rows) if rows else dmc.Text("none yet", c="dimmed")),
             card("Look at a result", *_results(studio), note=RESULTS),

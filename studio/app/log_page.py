@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from dash import Input, Output, State, dcc, html, no_update
 from dynamics.autopilot_frames import FRAMES
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
+from dynamics.recorded_vehicle import MAX_SYSTEM, system_chosen
 from dynamics.vehicle_file import vehicle_name, with_effect_files, without_effect_files
 from studio.app import redraw
 from studio.app.opened import OpenCase
@@ -207,6 +209,15 @@ def _options_item(opened: OpenCase) -> Any:
             dmc.TextInput(
                 id={"field": "mapping"}, label="Column mapping of a CSV (TOML)", value=options.mapping, w=280
             ),
+            dmc.NumberInput(
+                id={"field": "system"},
+                label="Vehicle to read in a tlog of several (system id)",
+                value=options.system,
+                min=1,
+                max=MAX_SYSTEM,
+                allowDecimal=False,
+                w=320,
+            ),
             action("options", "Use these", variant="light"),
         ],
         align="end",
@@ -233,6 +244,7 @@ def _flight_card(opened: OpenCase) -> Any:
         "Flights",
         choice,
         redraw.lines_graph("log-lines", "Lines: the log's quantities over time", _height(readable[0][1])),
+        _messages([info for _, info in readable]),
         note="Drag to zoom: the lines are drawn again from all rows. Double-click to see the whole flight.",
     )
 
@@ -320,7 +332,32 @@ def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> g
     styled(figure, scheme, height=_height(info))
     place_legends(figure, range(1, len(panels) + 1))
     figure.update_layout(hovermode="x unified")
+    _mark_modes(figure, info)
     return redraw.keyed(figure, key_of(info, number))
+
+
+def _mark_modes(figure: go.Figure, info: FlightInfo) -> None:
+    """A line through all panels where the autopilot's mode changed, with the mode's name at the top."""
+    for event in info.events:
+        if event.kind == "mode" and event.time < info.duration:
+            x = max(0.0, event.time)
+            figure.add_vline(x=x, line={"width": 1, "dash": "dash", "color": "gray"}, row="all", col=1)
+            figure.add_annotation(
+                x=x, y=1.0, xref="x", yref="paper", text=event.text, showarrow=False, xanchor="left", yanchor="bottom",
+                yshift=22, font={"size": 11},
+            )  # fmt: skip
+
+
+def _messages(infos: Sequence[FlightInfo]) -> Any:
+    """What the autopilots said, a list for each flight; None where nothing was logged."""
+    items = []
+    for number, info in enumerate(infos):
+        lines = [html.Li(f"{event.time:.1f} s: {event.text}") for event in info.events if event.kind == "message"]
+        if lines:
+            items.append(
+                _item(f"messages-{number}", f"{info.name}: {len(lines)} messages of the autopilot", html.Ul(lines))
+            )
+    return dmc.Accordion(items, chevronPosition="left", multiple=True) if items else None
 
 
 def key_of(info: FlightInfo, number: int) -> str:
@@ -349,8 +386,11 @@ def change(opened: OpenCase, act: str, value: str, fields: dict[str, Any]) -> No
         )
         return
     else:
-        keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping"}
+        keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping", "system": "system"}
         values = {name: str(fields.get(field) or "") for name, field in keys.items()}
+        if values["system"]:
+            with system_chosen(_system_id(values["system"])):  # refuses what is no system id
+                pass
         case.set_options(msgspec.convert(values, Options))
     if case.state.logs:
         opened.start("check")
@@ -396,7 +436,15 @@ def _making(case: Case, fields: dict[str, Any], path: Path) -> str:
     words = ["alula", "vehicle", "from-log", *map(str, case.log_paths)]
     words += [w for option, field in options.items() if fields.get(field) for w in (option, str(fields[field]))]
     words += ["--mapping", str(case.mapping_path)] if case.mapping_path else []
+    words += ["--system", case.state.options.system] if case.state.options.system else []
     return shlex.join([*words, "--out", str(path)])
+
+
+def _system_id(text: str) -> int:
+    """A whole number as typed. Raises RequestError for another text."""
+    if not text.isdecimal():
+        raise RequestError(f"{text!r} is no system id. Give a whole number, 1 to {MAX_SYSTEM}, or leave it empty.")
+    return int(text)
 
 
 def _number(value: Any) -> float | None:

@@ -225,7 +225,8 @@ class OpenCase:
         if self.refusal(page) is not None:
             return "refused"
         if self.is_fresh(page):
-            return "done"
+            checked = self.result(Checked, "check") if page == "check" else None
+            return "refused" if checked is not None and not checked.usable else "done"
         return "open" if self.case.shown_result(page) is None else "out of date"
 
     def lock_reason(self, page: str) -> str:
@@ -269,6 +270,7 @@ class OpenCase:
             mapping=str(case.mapping_path or ""),
             pose=case.state.options.pose,
             hold_out=case.state.options.hold_out,
+            system=int(case.state.options.system) if case.state.options.system else None,
             data_key=case.key("flights"),
             vehicle_key=case.key("compare"),
             effect=effect,

@@ -22,6 +22,7 @@ from werkzeug.utils import secure_filename
 
 from dynamics.decoding import decode_json
 from dynamics.errors import AlulaError, RequestError
+from dynamics.field_errors import described
 from dynamics.files import write_whole
 from dynamics.vehicle_file import with_effect_files
 from studio.app.door import HEADERS, HOST, Door, Owner
@@ -254,7 +255,7 @@ def _picture() -> bytes:
     try:
         figure = decode_json(body, SavedFigure)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise RequestError(f"that is no picture: {error}. Send data, layout, width and height.") from None
+        raise RequestError(f"that is no picture: {described(error)}. Send data, layout, width and height.") from None
     return picture_pdf({"data": figure.data, "layout": figure.layout}, width=figure.width, height=figure.height)
 
 

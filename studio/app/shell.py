@@ -272,6 +272,8 @@ def _act(studio: Studio, clicks: list[Any], path: str, values: list[Any], names:
     try:
         if trigger["act"] == "create":
             return no_update, f"/case/{studio.create(name=str(fields.get('case-name') or 'case'))}/log"
+        if trigger["act"] == "example":
+            return no_update, f"/case/{studio.open_example()}/log"
         if trigger["act"] == "open-result":
             return no_update, f"/result/{studio.open_result(Path(str(fields.get('result-path') or '')))}"
         if trigger["act"] == "open-log":

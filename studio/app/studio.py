@@ -16,6 +16,7 @@ from studio.app.replays import Replays
 from studio.case.archive import unpack_archive
 from studio.case.case import Case, is_case
 from studio.case.state_file import ADVICE
+from studio.example import NAME, VEHICLE, example_logs
 from studio.work.worker import Worker
 
 MAX_WORKERS = 2  # of all cases, beside the one that waits; each holds a case's flights
@@ -68,6 +69,15 @@ class Studio:
         with self._lock:
             self._cases[name_of(folder)] = OpenCase(case, self._worker)
         return name_of(folder)
+
+    def open_example(self) -> str:
+        """Make a case with the bundled logs and their vehicle, and begin to read it. Returns its name in addresses."""
+        name = self.create(name=NAME)
+        opened = self._cases[name]
+        opened.case.add_logs(example_logs())
+        opened.case.set_vehicle(VEHICLE)
+        opened.start("check")
+        return name
 
     def open_result(self, path: Path) -> str:
         """Open a result that lies on disk. Returns its name in addresses. Raises RequestError for what is none."""

@@ -19,6 +19,7 @@ from dynamics.errors import RequestError
 from dynamics.files import make_folder, write_whole
 from dynamics.inside import path_inside
 from dynamics.unpacking import FILES, Unpacking, limit_of
+from dynamics.version import with_version
 from studio.case.case import Case, files_of, is_device
 from studio.case.links import set_links
 from studio.case.state_file import (
@@ -63,7 +64,7 @@ def write_archive(case: Case, path: Path) -> Path:
             for name in _content_of(case.folder):
                 if name not in archive.NameToInfo:
                     archive.write(inside(case.folder, name), name)
-            archive.writestr(STATE_FILE, msgspec.json.encode(case.state))
+            archive.writestr(STATE_FILE, msgspec.json.encode(with_version(case.state)))
 
     return write_whole(path, write, advice="Give another file, or make room.")
 

@@ -20,7 +20,7 @@ import msgspec
 from dynamics.decoding import editable_toml, parse_toml
 from dynamics.effect_source import EffectFile, read_effect_file, read_effect_file_below
 from dynamics.errors import RequestError
-from dynamics.files import make_folder, write_json, write_whole
+from dynamics.files import make_folder, write_answer, write_whole
 from dynamics.own_effects import effects_of
 from dynamics.trust import require_approved
 from dynamics.vehicle import Vehicle
@@ -296,6 +296,9 @@ class Case:
         """
         state = self._state
         parts: list[Any] = [[log.sha256 for log in state.logs], state.options.mapping, state.options.pose]
+        parts += (
+            [state.options.system] if state.options.system else []
+        )  # none: the key of a case made before it existed
         parts.append([self._digest(name) for name in state.effect_files])
         name = step.partition(":")[0]
         if name not in ("check", "flights", "make"):
@@ -440,7 +443,7 @@ class Case:
             self._save(msgspec.structs.replace(self._state, **changed))
 
     def _save(self, state: CaseState) -> None:
-        write_json(state, self.folder / STATE_FILE)
+        write_answer(state, self.folder / STATE_FILE)
         self._state = state
         self.revision += 1
 

@@ -31,7 +31,7 @@ def command(case: Case, step: str, *, effect: str = "", reference: str = "", tri
     if step in ("prove", "fly"):
         words += ["--before", _source(case, case.first_version)]
     words += [*_option("--fly", reference if step == "fly" else ""), *_option("--with", trial), *_effects(case)]
-    words += _mapping(case)
+    words += [*_mapping(case), *_system(case)]
     words += _option("--pose", options.pose if step != "check" else "")
     words += _option("--hold-out", options.hold_out if step in HELD_OUT else "")
     return shlex.join([*words, *_option("--rotor", rotor.rstrip("]"))])
@@ -53,7 +53,7 @@ def script(case: Case) -> str:
         "set -e",
         'out="${1:-again}"',
         'mkdir -p "$out"',
-        _joined("alula inspect", logs, shlex.join(mapping)),
+        _joined("alula inspect", logs, shlex.join([*mapping, *_system(case)])),
     ]
     files: list[str] = []
     for version in line:
@@ -66,7 +66,7 @@ def script(case: Case) -> str:
         else:
             files[-1] = shlex.quote(_source(case, version))
     if len(files) > 1:
-        read = shlex.join([*_effects(case), *mapping, *_option("--pose", case.state.options.pose)])
+        read = shlex.join([*_effects(case), *mapping, *_system(case), *_option("--pose", case.state.options.pose)])
         held = shlex.join(_option("--hold-out", case.state.options.hold_out))
         lines.append(_joined("alula prove", logs, "--vehicle", files[-1], "--before", files[0], read, held))
     return "\n".join(lines) + "\n"
@@ -107,6 +107,10 @@ def _effects(case: Case) -> list[str]:
 
 def _mapping(case: Case) -> list[str]:
     return _option("--mapping", str(case.mapping_path or ""))
+
+
+def _system(case: Case) -> list[str]:
+    return _option("--system", case.state.options.system)
 
 
 def _option(name: str, value: str) -> list[str]:

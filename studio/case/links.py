@@ -14,6 +14,7 @@ import msgspec
 
 from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.own_folder import configuration_folder, locked, make_own_folder, read_own, replace_own
 from studio.case.state import CaseLog
 
@@ -70,7 +71,7 @@ def _read() -> tuple[LinkedLog, ...]:
     try:
         return decode_json(content, tuple[LinkedLog, ...])
     except msgspec.MsgspecError as error:
-        raise _unusable(path, f"it is damaged: {error}") from None
+        raise _unusable(path, f"it is damaged: {described(error)}") from None
 
 
 def _change(edited: Callable[[tuple[LinkedLog, ...]], list[LinkedLog]]) -> None:

@@ -62,6 +62,7 @@ class Options(msgspec.Struct, frozen=True):
     mapping: str = ""
     pose: str = ""
     hold_out: str = ""
+    system: str = ""
 
 
 class CaseState(msgspec.Struct, frozen=True):

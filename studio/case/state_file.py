@@ -13,6 +13,7 @@ import msgspec
 from dynamics.decoding import decode_json
 from dynamics.effect_source import printable
 from dynamics.errors import RequestError
+from dynamics.field_errors import described
 from dynamics.inside import path_inside
 from studio.case.state import FORMAT, CaseState
 
@@ -59,7 +60,9 @@ def read_state(folder: Path) -> CaseState:
             raise RequestError(f"{path} is of format {number!r}. {advice}")
         state = decode_json(content, CaseState)
     except msgspec.MsgspecError as error:
-        raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None
+        raise RequestError(
+            f"{path} is damaged: {described(error)}. Its logs and vehicle files lie beside it."
+        ) from None
     numbers = [version.number for version in state.versions]
     if len(set(numbers)) < len(numbers) or any(not 0 <= v.parent < v.number for v in state.versions):
         raise RequestError(f"{path} is damaged: its versions do not follow each other. They lie beside it.")

@@ -10,6 +10,7 @@ from diagnosis.addition_report import AdditionReport
 from diagnosis.comparison import Comparison
 from diagnosis.proof import Proof
 from diagnosis.report import Diagnosis
+from flights.events import Event
 from flights.quality import Inspection
 from simulation.versions_in_flight import VersionsInFlight
 
@@ -32,6 +33,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     columns: in the order of the table's rows.
     refused: the reader's message.
     vehicle: text of the vehicle file that a recording holds, empty where there is none.
+    events: the autopilot's modes and messages.
     """
 
     name: str
@@ -41,6 +43,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     columns: tuple[ColumnInfo, ...] = ()
     refused: str = ""
     vehicle: str = ""
+    events: tuple[Event, ...] = ()
 
 
 class PictureInfo(msgspec.Struct, frozen=True):

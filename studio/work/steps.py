@@ -10,6 +10,7 @@ from pathlib import Path
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import make_folder, write_json
 from dynamics.progress import Progress
+from dynamics.recorded_vehicle import system_chosen
 from studio.work.adding import add
 from studio.work.checking import check
 from studio.work.comparing import compare
@@ -60,7 +61,8 @@ class StepRunner:
         shutil.rmtree(part, ignore_errors=True)
         make_folder(part, advice="Make room on the disk, or give a folder that can be written.")
         try:
-            STEPS[task.step](self._memory, task, part, progress)
+            with system_chosen(task.system):
+                STEPS[task.step](self._memory, task, part, progress)
         except AlulaError as error:
             write_json(Refusal(str(error), error.exit_code), part / REFUSED)
         except OSError as error:

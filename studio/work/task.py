@@ -29,6 +29,7 @@ class Task(msgspec.Struct, frozen=True):
     name: of the vehicle that is made.
     frame: of it, empty where the logs state the layout.
     command: the command line that does the same.
+    system: id of the vehicle that is read where a tlog holds several; None for the first autopilot.
     """
 
     step: str
@@ -49,6 +50,7 @@ class Task(msgspec.Struct, frozen=True):
     command: str = ""
     name: str = ""
     frame: str = ""
+    system: int | None = None
 
 
 class Refusal(msgspec.Struct, frozen=True):

@@ -4,6 +4,7 @@ import ast
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -99,6 +100,30 @@ def test_commands_and_options_are_completed(line: str, word: str) -> None:
     count = str(len(line.split()) - 1)
     done = alula(_ALULA_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
     assert done.stdout.split() == [word]
+
+
+SOURCED = {"bash": "source_bash", "zsh": "source_zsh", "fish": "source_fish"}  # as docs/install.md has it
+
+
+@pytest.mark.parametrize("shell", SOURCED)
+def test_each_shell_gets_a_script_without_anything_being_installed(shell: str, tmp_path: Path) -> None:
+    page = Path("docs/install.md").read_text(encoding="utf-8")
+    assert f"_ALULA_COMPLETE={SOURCED[shell]} alula" in page
+    script = alula(_ALULA_COMPLETE=SOURCED[shell], HOME=str(tmp_path)).stdout
+    assert "alula" in script
+    assert f"complete_{shell}" in script
+    assert not list(tmp_path.iterdir())
+    if (program := shutil.which(shell)) is not None:
+        checked = subprocess.run([program, "-n"], input=script, capture_output=True, text=True, check=False)
+        assert checked.returncode == 0, checked.stderr
+
+
+def test_installing_the_completion_writes_into_the_home_alone(tmp_path: Path) -> None:
+    done = alula("--install-completion", "bash", HOME=str(tmp_path), _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
+    assert done.returncode == 0, done.stderr
+    written = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.rglob("*") if path.is_file()}
+    assert "complete_bash" in written["alula.sh"]
+    assert "alula.sh" in written[".bashrc"]
 
 
 @pytest.mark.parametrize("words", [("--no-effects", "--effect", "mass"), ("--all", "--manoeuvre", "Lemniscate")])

@@ -81,7 +81,7 @@ def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
         ("[search]\namplitude = [1.9, 0.4]", "the first must be below the second"),
         ("[regimes]\nquantiles = [0.01, 1.99]", "<= 1.0 - at `\\$.regimes.quantiles"),
         ("[command_curve]\ncommand_percentiles = [1.0, 199.0]", "<= 100.0 - at `\\$.command_curve"),
-        ("[search]\nmin_gain = 'high'", "Expected `float`"),
+        ("[search]\nmin_gain = 'high'", "search.min_gain holds a text; wanted is a number"),
         ("[search", "cannot use the thresholds"),
     ],
 )

@@ -16,7 +16,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "requirements"
-EXTRAS = {"workbench": ("workbench",), "development": ("workbench", "test", "lint")}
+EXTRAS: dict[str, tuple[str, ...]] = {
+    "flight_computer": (), "workbench": ("workbench",), "development": ("workbench", "test", "lint"),
+}  # fmt: skip
 TORCH = "torch"
 
 
@@ -62,7 +64,7 @@ def test_what_is_required_is_locked(lock: str) -> None:
     tables = tomllib.loads((ROOT / "pyproject.toml").read_text())
     project = tables["project"]
     waiting = [*project["dependencies"], *(text for e in EXTRAS[lock] for text in project["optional-dependencies"][e])]
-    waiting += tables["build-system"]["requires"]
+    waiting += tables["build-system"]["requires"] if EXTRAS[lock] else []  # a flight computer gets a wheel
     there, visited = {canonical(name) for name in entries(lock)} | {TORCH}, set[str]()
     while waiting:
         text = waiting.pop()
@@ -133,3 +135,13 @@ def test_the_bill_of_materials_has_cyclonedx_shape(tmp_path: Path) -> None:
     assert scopes["numpy"] == scopes["msgspec"] == scopes["hpipm"] == "required"
     assert scopes["torch"] == scopes["casadi"] == "optional"
     assert "pytest" not in scopes
+
+
+def test_what_builds_a_wheel_is_locked_as_for_the_workbench() -> None:
+    required = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    assert set(entries("build")) == {re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required}
+    assert entries("build").items() <= entries("workbench").items()
+
+
+def test_a_flight_computer_gets_the_workbenchs_versions_and_less() -> None:
+    assert entries("flight_computer").items() < entries("workbench").items()

@@ -37,7 +37,7 @@ def test_a_later_setting_replaces_one_of_the_file(arpl_250g: Vehicle) -> None:
         ("controller.rate_lookahead=nan", "finite"),
         ("controller.nodes=1", "give 2 to 100"),
         ("controller.nodes=101", "give 2 to 100"),
-        ("controller.nodes=20.5", "Expected `int`"),
+        ("controller.nodes=20.5", "nodes holds a number; wanted is a whole number"),
         ("controller.velocity_weight=[1, -1, 1]", "velocity_weight = -1: give 0"),
         ("controller.position_weight=[0, 0, 0]", "zero in all axes"),
         ("controller.input_weight=0", "input_weight = 0"),

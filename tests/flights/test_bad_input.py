@@ -14,6 +14,7 @@ from dynamics import frames
 from dynamics.arrays import Floats
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import Flight, Log, read_folder, read_log, reading
+from flights.folder import folder_content
 from tests.support.flight_files import Truth, crazyflie_log, flight_csv, manoeuvre, paper_bag, ros2_bag, tlog
 
 PX4 = Path(__file__).parents[1] / "data" / "px4_sih_offboard"
@@ -63,6 +64,19 @@ def test_a_format_that_is_not_known(tmp_path: Path) -> None:
     (tmp_path / "picture.ulg").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     with pytest.raises(RequestError, match="has no known log format"):
         Flight.read(tmp_path / "picture.ulg")
+
+
+@pytest.mark.parametrize("first", ["", " ArduCopter V4.5.7 (2a3dc4b7)\n"])
+def test_ardupilots_log_as_text_is_named_for_what_it_is(tmp_path: Path, first: str) -> None:
+    path = tmp_path / "00000017.log"
+    path.write_text(
+        f"{first}FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+        "FMT, 43, 36, IMU, QBffffffIIfBBHH, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz\n"
+        "IMU, 16840112, 0, 0.001, 0.002, 0.001, 0.02, 0.03, -9.79, 0, 0, 45.1, 1, 1, 1000, 1000\n"
+    )
+    with pytest.raises(RequestError, match=r"an ArduPilot log as text.*Give the \.bin file"):
+        Flight.read(path)
+    assert folder_content(tmp_path).logs == (path,)  # so that a folder's reader is told, too
 
 
 def test_a_table_whose_columns_mean_nothing(tmp_path: Path) -> None:
@@ -357,7 +371,7 @@ def test_a_folder_of_mixed_formats_gives_each_file_or_its_reason(truth: Truth, t
     formats = [result.provenance.format if isinstance(result, Log) else type(result) for result in results.values()]
     assert formats == ["flight CSV", DataError, RequestError, "MAVLink tlog", "ROS bag"]
     assert isinstance(results["b.ulg"], AlulaError)
-    with pytest.raises(RequestError, match="read_folder"):
+    with pytest.raises(RequestError, match="read a folder of logs"):
         Flight.read(tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,13 +11,24 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
+import alula
 from dynamics.errors import RequestError
-from dynamics.recorded_vehicle import choose_system
+from dynamics.recorded_vehicle import choose_system, chosen_system
 from flights import read_log
 from flights.parallel import parallel_map
+from studio.app.opened import OpenCase
+from studio.case.case import Case
+from studio.case.commands import command, script
+from studio.case.state import Options
+from studio.work.results import Checked
 from tests.support.command_line import Run, command_line
 from tests.support.flight_files import manoeuvre, tlog
+from tests.support.worker_here import WorkerHere
 
+CHOOSING = (
+    "read_flight", "read_flights", "inspect", "compare", "compare_hover", "diagnose", "add_effect", "prove", "train",
+    "evaluate", "vehicle_from_logs", "check_vehicle",
+)  # fmt: skip
 STAMP = struct.Struct(">Q")
 HEIGHTS = {1: 0.0, 2: 50.0}  # m, of the two vehicles
 
@@ -67,6 +79,11 @@ def height_of(path: Path) -> float:
     return float(np.mean(positions[0].values[:, 2])) - float(np.mean(manoeuvre(duration=3.0).position[:, 2]))
 
 
+def height_of_flight(flight: alula.Flight) -> float:
+    """Mean height of a flight above that of the first vehicle, m."""
+    return float(np.nanmean(flight["position"][:, 2])) - float(np.mean(manoeuvre(duration=3.0).position[:, 2]))
+
+
 @pytest.mark.parametrize(("system", "vehicle"), [(None, 1), (1, 1), (2, 2)])
 def test_the_vehicle_that_was_chosen_is_read_with_what_was_sent_to_it(
     both: Path, system: int | None, vehicle: int
@@ -100,6 +117,51 @@ def test_a_recording_of_one_vehicle_says_nothing(tmp_path: Path) -> None:
     (tmp_path / "one.tlog").write_bytes(tlog(manoeuvre(duration=1.0)))
     read_log(tmp_path / "one.tlog")
     assert not lines
+
+
+def test_python_chooses_for_a_call_and_leaves_the_process_as_it_was(both: Path) -> None:
+    for system in (2, 1):
+        flight = alula.read_flight(both, system=system)
+        assert height_of_flight(flight) == pytest.approx(HEIGHTS[system], abs=0.1)
+        assert height_of_flight(alula.read_flights(both, system=system)[0]) == pytest.approx(HEIGHTS[system], abs=0.1)
+        assert any(f"system {system}, which was chosen" in note for note in alula.inspect(both, system=system).notes)
+    assert chosen_system() is None
+    choose_system(2)
+    assert height_of_flight(alula.read_flight(both)) == pytest.approx(HEIGHTS[2], abs=0.1)
+    with pytest.raises(RequestError, match="system = 256 is no system id"):
+        alula.read_flight(both, system=256)
+    with pytest.raises(RequestError, match="no vehicle with system id 9"):
+        alula.read_flight(both, system=9)
+    assert chosen_system() == 2
+
+
+@pytest.mark.parametrize("function", CHOOSING)
+def test_every_function_that_reads_logs_chooses(function: str) -> None:
+    parameters = inspect.signature(getattr(alula, function)).parameters
+    assert parameters["system"].default is None
+    assert "system" in str(getattr(alula, function).__doc__)
+
+
+def test_the_studio_chooses_by_an_option_of_the_case(both: Path, tmp_path: Path) -> None:
+    case = Case.create(tmp_path / "case")
+    case.add_logs([both])
+    case.set_vehicle("arpl_250g")  # without one there is no script
+    without, keys = command(case, "check"), {case.key("flights")}
+    for system in ("1", "2"):
+        case.set_options(Options(system=system))
+        assert command(case, "check") == f"{without} --system {system}"
+        assert f"--system {system}" in script(case)
+        keys.add(case.key("flights"))
+        opened = OpenCase(case, WorkerHere)  # type: ignore[arg-type]
+        opened.start("check")
+        opened.wait()
+        checked = opened.result(Checked, "check")
+        assert checked is not None
+        (inspection,) = checked.by_log
+        assert inspection is not None
+        assert any(f"system {system}, which was chosen" in note for note in inspection.notes)
+    assert len(keys) == 3
+    case.close()
 
 
 def test_the_command_line_chooses_and_says_what_it_read(both: Path, run: Run) -> None:

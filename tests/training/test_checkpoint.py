@@ -94,7 +94,7 @@ def test_a_checkpoint_whose_parts_do_not_fit_is_refused(model: TrainedModel, tmp
         ("vehicle", "no file", "not valid TOML"),
         ("vehicle", six, "its vehicle has 6 rotors, its config 4"),
         ("config", {**content["config"], "history": 5}, "look back 19 columns, the history has 5"),
-        ("card", "{}", "missing required field `kind`"),
+        ("card", "{}", "'kind' is missing"),
     ):
         torch.save({**content, entry: value}, path)
         with pytest.raises(RequestError, match=rf"m.pt is a damaged model: .*{words}.* Restore it from") as caught:

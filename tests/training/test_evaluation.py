@@ -145,13 +145,13 @@ def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_a
     model = model_of("pi_mlp", arpl_250g)
     first, second = recordings
     learned = msgspec.structs.replace(model.card, flights={"elsewhere.csv": first.sha256})
-    with pytest.raises(RequestError, match=r"ours was trained on Lemniscate.parquet"):
-        evaluate(
-            [NamedModel("ours", dataclasses.replace(model, card=learned))],
-            recordings,
-            campaign=None,
-            done=lambda _: None,
-        )
+    ours = NamedModel("ours", dataclasses.replace(model, card=learned))
+    report, judged = evaluate([ours], recordings, campaign=None, done=lambda _: None)
+    assert report.notes == ("left out, since ours learned from them: Lemniscate.parquet",)
+    assert list(report.flights) == ["Parabola.parquet"]
+    assert {error.flight for one in judged for error in one.evaluation.label} == {"Parabola.parquet"}
+    with pytest.raises(RequestError, match=r"ours was trained on Lemniscate.parquet.* no other flight was given"):
+        evaluate([ours], [first], campaign=None, done=lambda _: None)
     chosen = msgspec.structs.replace(model.card, flights={}, validation={"a.csv": second.sha256})
     report, _ = evaluate(
         [NamedModel("ours", dataclasses.replace(model, card=chosen))], recordings, campaign=None, done=lambda _: None

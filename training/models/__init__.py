@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from dynamics.errors import RequestError
+from dynamics.spelling import unknown
 from training.models import grey_box, mse_tcn, nominal, pi_mlp, pi_tcn, res_tcn, window_mlp
 from training.models.kind import Kind
 
@@ -16,5 +17,5 @@ KINDS: Mapping[str, Kind] = {
 def named_kind(name: str) -> Kind:
     """The model of a name. Raises RequestError for another."""
     if name not in KINDS:
-        raise RequestError(f"unknown model {name!r}. Known: {', '.join(KINDS)}.")
+        raise RequestError(f"unknown model {name!r}{unknown(name, KINDS)}")
     return KINDS[name]

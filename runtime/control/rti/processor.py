@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dynamics.codegen import FLAGS
 from dynamics.errors import RequestError
+from dynamics.spelling import unknown
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def named_processor(name: str) -> Processor:
     if name == "native":
         return native_processor()
     if name not in PROCESSORS:
-        raise RequestError(f"unknown processor {name!r}. Known: native, {', '.join(PROCESSORS)}.")
+        raise RequestError(f"unknown processor {name!r}{unknown(name, ('native', *PROCESSORS))}")
     return PROCESSORS[name]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -66,7 +67,29 @@ def test_a_battery_that_stands_still_is_named_and_identifies_no_sag(log: Log) ->
     stuck = np.full_like(values(log, "battery_voltage"), 11.1)
     inspection = judge(changed(log, "battery_voltage", stuck))
     assert next(f.text for f in inspection.findings if f.name == "frozen_channel").startswith("battery_voltage")
-    assert next(effect for effect in inspection.effects if effect.name == "battery_sag").answer == "no"
+    sag = next(effect for effect in inspection.effects if effect.name == "battery_sag")
+    assert sag.answer == "no"
+    assert "battery voltage, which is logged but stands still" in sag.why
+
+
+def test_commands_alone_identify_nothing_that_their_gain_takes_up(log: Log, healthy: Inspection) -> None:
+    commanded = {effect.name: effect for effect in judge(without(log, "rotor_speed")).effects}
+    measured = {effect.name: effect.answer for effect in healthy.effects}
+    assert measured["thrust_constant"] == measured["mass"] == "yes"
+    assert commanded["thrust_constant"].answer == commanded["rotor_speed_fault"].answer == "no"
+    assert "measured rotor speeds" in commanded["thrust_constant"].why
+    assert commanded["mass"].answer == "weakly"
+    assert commanded["rotor_drag"].answer == measured["rotor_drag"]
+
+
+@pytest.mark.parametrize("column", ["velocity_y", "attitude_w", "rate_z"])
+def test_a_column_without_a_number_is_named_where_it_leaves_no_flight(log: Log, column: str) -> None:
+    quantity, place = column[:-2], {"w": 0, "x": 0, "y": 1, "z": 2}[column[-1]]
+    table = values(log, quantity).copy()
+    table[:, place] = np.nan
+    inspection = judge(changed(log, quantity, table))
+    assert inspection.verdict == "unusable"
+    assert f"{column} holds no number at all" in inspection.sentence
 
 
 def test_a_position_that_is_fast_enough_shows_what_a_velocity_does(log: Log) -> None:
@@ -167,7 +190,10 @@ def test_a_clock_offset_is_noted(log: Log) -> None:
             Stream(s.name, s.time + (0.03 if s.name == "attitude" else 0.0), s.values, s.source) for s in log.streams
         ),
     )
-    assert "clock_offset" in names(judge(shifted), "note")
+    (offset,) = [finding for finding in judge(shifted).findings if finding.name == "clock_offset"]
+    assert offset.severity == "note"
+    assert "removed before" in offset.advice
+    assert not re.search(r"\b(flights|alula|diagnosis)\.\w", offset.advice)  # for somebody who clicks
 
 
 def test_an_answer_for_an_effect_that_is_not_excited_names_what_to_fly() -> None:

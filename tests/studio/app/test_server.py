@@ -170,8 +170,8 @@ def _save(client: FlaskClient, body: bytes) -> Any:
     ("body", "message"),
     [
         (b"none", "that is no picture: JSON is malformed"),
-        (b'{"data": [], "layout": {}, "width": 700}', "missing required field `height`"),
-        (b'{"data": [], "layout": {}, "width": 700, "height": 0}', "Expected `int` >= 1 - at `$.height`"),
+        (b'{"data": [], "layout": {}, "width": 700}', "'height' is missing"),
+        (b'{"data": [], "layout": {}, "width": 700, "height": 0}', "height must be a whole number at least 1"),
         (b" " * (MAX_FIGURE + 1), "more than 64 MB"),
     ],
 )
