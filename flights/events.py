@@ -1,4 +1,4 @@
-"""What an autopilot did and said in a flight: modes and log messages, which no column of numbers holds."""
+"""Events of a flight: what its autopilot did and said, modes and log messages, which no column of numbers holds."""
 
 from __future__ import annotations
 

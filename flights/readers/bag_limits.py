@@ -48,7 +48,7 @@ class _LimitedFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stream.close()
+        self._stream.close()  # type: ignore[no-untyped-call]
 
     def read(self, size: int = CHUNK) -> bytes:
         """The next bytes. Raises RequestError beyond the limits, ValueError for damage."""

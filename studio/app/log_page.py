@@ -349,7 +349,7 @@ def _mark_modes(figure: go.Figure, info: FlightInfo) -> None:
 
 
 def _messages(infos: Sequence[FlightInfo]) -> Any:
-    """What the autopilots said, a list for each flight; None where nothing was logged."""
+    """Messages of the autopilots, a list for each flight; None where nothing was logged."""
     items = []
     for number, info in enumerate(infos):
         lines = [html.Li(f"{event.time:.1f} s: {event.text}") for event in info.events if event.kind == "message"]
