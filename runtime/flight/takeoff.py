@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite, nan
 
-from runtime.flight.lift_off import LiftOffEvidence
+from runtime.flight.lift_off import NEVER, LiftOffEvidence
 from runtime.flight.thrust import MAX_FILE_ERROR, MIN_FILE_ERROR
 
 RESPONSE_TIME = 0.07  # s by which thrust follows its setpoint, delay included
@@ -22,7 +22,8 @@ class RampSettings:
     rise: s from zero thrust to the weight.
     spool: initial thrust per weight.
     max_thrust: per weight; what the vehicle needs whose file is as wrong as it can be.
-    patience: s at the maximum thrust without lift-off.
+    patience: s at the maximum thrust without lift-off. An estimate that rises then is waited for, and as long again
+        it is one, whatever the accelerometer shows of a thrust that hardly lifts: to end it in the air is worse.
     height: m above the lowest estimate of the ramp, since one that sinks at rest hides a lift-off; it requires more
         than that and than the climb rate.
     smoothing: s, of that estimate: noise is no sinking.
@@ -63,9 +64,9 @@ class TakeoffRamp:
         self._weight = weight
         self._max_thrust = min(self._settings.max_thrust * weight, 0.95 * thrust_max)
         self._started: float | None = None
-        self._last = 0.0
+        self._last = self._elapsed = 0.0
         self._ground = self._smooth = 0.0
-        self._rising = 0
+        self._rising, self._rising_since = 0, 0.0
         self._response_time = response_time
         self._evidence = LiftOffEvidence(weight)
         self._lift_height = 0.0
@@ -85,7 +86,7 @@ class TakeoffRamp:
             self._ground = self._smooth = height
         if self.lifted:
             return self.collective_thrust
-        elapsed = time - self._started
+        self._elapsed = elapsed = time - self._started
         if isfinite(specific_force):
             self._evidence.add(time, self._thrust_at(elapsed - self._response_time), specific_force)
         self._smooth += min((time - self._last) / settings.smoothing, 1.0) * (height - self._smooth)
@@ -93,11 +94,14 @@ class TakeoffRamp:
         self.collective_thrust = self._thrust_at(elapsed)
         rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
         self._rising = self._rising + 1 if rising else 0  # one estimate may be noise
+        self._rising_since = self._rising_since if self._rising > 1 else time
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
         carried = self.collective_thrust * MAX_FILE_ERROR > self._weight
-        self.lifted = carried and self._has_left(rising=self._rising >= 3)
         time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
-        self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience
+        overdue = elapsed > time_at_max_thrust + settings.patience
+        rises_on = overdue and rising and time - self._rising_since >= settings.patience
+        self.lifted = carried and (self._has_left(rising=self._rising >= 3) or rises_on)
+        self.failed = overdue and not (self.lifted or rising)
         return self.collective_thrust
 
     def _thrust_at(self, elapsed: float) -> float:
@@ -122,13 +126,10 @@ class TakeoffRamp:
         makes it too long.
         """
         settings = self._settings
-        if self._evidence.measured:
+        if self._evidence.measured and self._evidence.ratio > NEVER:
             return self._evidence.effectiveness
-        slope = 0.0
-        if self.collective_thrust < self._max_thrust:
-            slope = (1 - settings.spool) * self._weight / settings.rise
         since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + self._response_time
-        value = self._weight / max(self.collective_thrust - slope * since, 0.3 * self._weight)
+        value = self._weight / max(self._thrust_at(self._elapsed - since), 0.3 * self._weight)
         return min(max(value, MIN_FILE_ERROR), MAX_FILE_ERROR)
 
 
