@@ -1,7 +1,7 @@
 """What the demo gains: prediction and tracking error before and after, over seeds, and for each catalogued effect.
 
-In simulated time, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default, then
-one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
+In simulated time, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default,
+then one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
 flown is kept in a folder, so that an interrupted run resumes.
 
     python -m benchmarks.demo_gain [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]

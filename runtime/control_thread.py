@@ -101,6 +101,8 @@ class ControlThread:
         clock: s; of a flight in simulated time its own.
         """
         self._clock, self._simulated = clock, clock is not time.monotonic
+        # computing takes no simulated time; a system call each time would also give the processor away
+        self._processor_time = clock if self._simulated else time.thread_time
         self.deadlines = Deadlines(period)
         self.tracking = Tracking()
         self.autopilot_requests: queue.SimpleQueue[AutopilotRequest] = queue.SimpleQueue()
@@ -148,7 +150,7 @@ class ControlThread:
         while not self._flyer.over and not self._stopped_for_good():
             schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
-            woken, busy = self._clock(), time.thread_time()
+            woken, busy = self._clock(), self._processor_time()
             schedule.ticked(due, woken, by_clock=by_clock)
             try:
                 self._fly(due, by_clock, woken, busy)
@@ -167,12 +169,12 @@ class ControlThread:
         estimate: the newest. now: s, simulated. A defect raises.
         """
         self._estimate = estimate
-        self._fly(now, by_clock, now, time.thread_time())
+        self._fly(now, by_clock, now, now)
         self._tick_over()
 
     def _tick_over(self) -> None:
         self.ticks += 1
-        self._busy_before = time.thread_time() - self._busy_at_departure
+        self._busy_before = self._processor_time() - self._busy_at_departure
         self._free = self._clock()
 
     def _stopped_for_good(self) -> bool:
@@ -210,7 +212,7 @@ class ControlThread:
             self._telemetry.echo.sent(self.stream.newest, (x, y, z), decision.thrust)
         if decision.rate_body is not None and isnan(self.first_setpoint):
             self.first_setpoint = self.stream.newest
-        departed, self._busy_at_departure = self._clock(), time.thread_time()
+        departed, self._busy_at_departure = self._clock(), self._processor_time()
         busy = self._busy_at_departure - busy_at_start
         times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
         cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
@@ -319,7 +321,7 @@ class ControlThread:
             phase=self._flyer.mission.phase.value,
             fallback=decision.fallback.name.lower(),
             solver_status=decision.solver_status,
-            feedback_seconds=0.0 if self._simulated else decision.feedback_seconds,  # computing takes no simulated time
+            feedback_seconds=0.0 if self._simulated else decision.feedback_seconds,
             preparation_seconds=self._preparation,
             departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
             late_cause=cause.value,

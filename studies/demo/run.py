@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import util
@@ -19,13 +19,13 @@ from dynamics.errors import RequestError, VehicleError
 from dynamics.own_effects import catalogue_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
-from flights.parallel import parallel_map
 from runtime.realtime import LIBRARY_THREADS
 from studies.demo.flights import (
     LEARNED,
     NOMINAL,
     Announce,
     DemoOptions,
+    FlightTask,
     TaskOutcome,
     clear_old_files,
     first_error,
@@ -123,7 +123,7 @@ def _fly_all(
     outcomes: dict[int, TaskOutcome] = {}
     started(f"{len(tasks)} flights, {model}", 0.5 if options.realtime else 0.0)
     with _one_thread_a_process():
-        for index, outcome in parallel_map(fly_task, tasks, jobs=min(options.jobs, len(os.sched_getaffinity(0)))):
+        for index, outcome in _outcomes(tasks, options.jobs):
             outcomes[index] = outcome
             share = len(outcomes) / len(tasks)
             started(tasks[index].title, 0.5 + share / 2 if options.realtime else share)
@@ -135,6 +135,15 @@ def _fly_all(
     flown = over_link or [outcome.flown for outcome in in_order if outcome.flown is not None]
     rmse = [outcome.px4_rmse for outcome in in_order[-len(names) :]]
     return tuple(msgspec.structs.replace(one, px4_rmse=px4) for one, px4 in zip(flown, rmse, strict=True))
+
+
+def _outcomes(tasks: Sequence[FlightTask], jobs: int) -> Iterator[tuple[int, TaskOutcome]]:
+    """Place and outcome of each task, as they are finished."""
+    if absent_libraries():  # which the parallel map's room needs
+        return enumerate(map(fly_task, tasks))
+    from flights.parallel import parallel_map
+
+    return parallel_map(fly_task, tasks, jobs=min(jobs, len(os.sched_getaffinity(0))))
 
 
 @contextmanager

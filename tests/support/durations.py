@@ -1,7 +1,7 @@
 """Seconds of each test of a run with workers, in build/durations.json: the slowest are looked up, not guessed.
 
-The file maps a test's name to the seconds of its setup, call and teardown. It is also written while tests run: a run that
-was cut off leaves what it had.
+The file maps a test's name to the seconds of its setup, call and teardown. It is also written while tests run: a run
+that was cut off leaves what it had.
 """
 
 from __future__ import annotations
