@@ -129,18 +129,25 @@ def fly_task(task: FlightTask) -> TaskOutcome:
 
 
 def fly_over_link(
-    options: DemoOptions, vehicle: str, model: str, stamp: str, announce: Announce, started: Announce
+    options: DemoOptions,
+    vehicle: str,
+    model: str,
+    stamp: str,
+    announce: Announce,
+    started: Callable[[str, float], None],
 ) -> list[FlownManoeuvre]:
     """Every manoeuvre against the clock, on a vehicle with a full battery.
 
-    started: called with the title of each flight as it begins. Raises VehicleError for the first flight that does not
-    end as it should; where the host withheld the processors, for that alone.
+    started: called with the title of each flight as it begins, and the share of flights before it.
+
+    Raises VehicleError for the first flight that does not end as it should; where the host withheld the processors, for
+    that alone.
     """
     hidden = [part for text in options.effects for part in ("--effect", text)]
     flown = []
     with blaming_the_host(), mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
         for number, name in enumerate(options.manoeuvres):
-            started(f"{name}, {model}")
+            started(f"{name}, {model}", number / len(options.manoeuvres))
             file = recording_name(stamp, model, number, name)
             flight = _prepared(name, vehicle, model, mock.url, options, file)
             report = Daemon(flight.request, flight.vehicle, flight.reference, announce).fly()

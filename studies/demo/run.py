@@ -116,17 +116,16 @@ def _fly_all(
     tasks = tasks_of(options, vehicle, model, stamp)
     names = options.manoeuvres
     over_link: list[FlownManoeuvre] = []
+    done = 0.8 if options.realtime else 0.0  # share of the work before the flights in simulated time
     if options.realtime:
-        over_link = fly_over_link(
-            options, vehicle, model, stamp, announce, lambda name: started(name, len(over_link) / (2 * len(names)))
-        )
+        in_real_time = partial(fly_over_link, options, vehicle, model, stamp, announce)
+        over_link = in_real_time(lambda name, share: started(name, done * share))
     outcomes: dict[int, TaskOutcome] = {}
-    started(f"{len(tasks)} flights, {model}", 0.5 if options.realtime else 0.0)
+    started(f"{len(tasks)} flights, {model}", done)
     with _one_thread_a_process():
         for index, outcome in _outcomes(tasks, options.jobs):
             outcomes[index] = outcome
-            share = len(outcomes) / len(tasks)
-            started(tasks[index].title, 0.5 + share / 2 if options.realtime else share)
+            started(tasks[index].title, done + (1.0 - done) * len(outcomes) / len(tasks))
     in_order = [outcomes[index] for index in range(len(tasks))]
     for line in (line for outcome in in_order for line in outcome.lines):
         announce(line)
