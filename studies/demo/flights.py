@@ -20,7 +20,7 @@ from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
 from runtime.flight_request import FlightReport
 from runtime.flight_setup import FlightSetup, PreparedFlight, prepare_flight
-from simulation.daemon_flight import fly_in_simulated_time
+from simulation.daemon_flight import EPOCH, fly_in_simulated_time
 from simulation.mock_process import mock_process
 from simulation.starvation import StarvationMeter
 from sitl_mock.mock import MockOptions
@@ -118,7 +118,7 @@ def fly_task(task: FlightTask) -> TaskOutcome:
     if not task.file:
         return TaskOutcome(px4_rmse=rmse_on_px4_estimate(name, task.vehicle, options))
     lines: list[str] = []
-    mock = MockOptions(find_vehicle(options.vehicle), effects=options.effects, seed=options.seed)
+    mock = MockOptions(find_vehicle(options.vehicle), effects=options.effects, seed=options.seed, epoch=EPOCH)
     try:
         flight = _prepared(name, task.vehicle, task.model, NOWHERE, options, task.file)
         report = fly_in_simulated_time(flight, mock, lines.append)
