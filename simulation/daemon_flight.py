@@ -8,7 +8,7 @@ flight is the same on every machine.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from math import isnan
 
@@ -38,7 +38,7 @@ READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 SUPERVISION_PERIOD = 0.1  # s
 FURTHER = 90.0  # s that a flight may take beside its reference
 RING_CAPACITY = 1_000_000  # records and frames of less than a second
-SLOW_STREAMS = {
+SLOW_STREAMS: Mapping[str, float] = {  # Hz
     "EXTENDED_SYS_STATE": 5.0,
     "BATTERY_STATUS": 2.0,
     "ESTIMATOR_STATUS": 2.0,
@@ -59,7 +59,7 @@ UNREAD = (
     "DISTANCE_SENSOR",
     "ESC_INFO",
 )
-COMMANDS = {
+COMMANDS: Mapping[AutopilotRequest, tuple[int, tuple[float, ...]]] = {
     AutopilotRequest.OFFBOARD: mode_command("OFFBOARD"),
     AutopilotRequest.LAND: mode_command("LAND"),
     AutopilotRequest.ARM: arming_command(True),
