@@ -145,7 +145,7 @@ def fly_over_link(
     """
     hidden = [part for text in options.effects for part in ("--effect", text)]
     flown = []
-    with blaming_the_host(), mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
+    with naming_starvation(), mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
         for number, name in enumerate(options.manoeuvres):
             started(f"{name}, {model}", number / len(options.manoeuvres))
             file = recording_name(stamp, model, number, name)
@@ -156,7 +156,7 @@ def fly_over_link(
 
 
 @contextmanager
-def blaming_the_host(meter: StarvationMeter | None = None) -> Iterator[None]:
+def naming_starvation(meter: StarvationMeter | None = None) -> Iterator[None]:
     """Where the host withheld the processors, that is the error in place of any other: such a flight shows nothing."""
     meter, start = meter or StarvationMeter(), time.monotonic()
     meter.start()

@@ -28,11 +28,11 @@ from studies.demo.flights import (
     STARVED,
     DemoOptions,
     TaskOutcome,
-    blaming_the_host,
     clear_of_the_ground,
     clear_old_files,
     first_error,
     fly_task,
+    naming_starvation,
     recording_name,
     tasks_of,
 )
@@ -282,12 +282,12 @@ class ScriptedMeter(StarvationMeter):
         self.windows = [Window(now, now + 0.2, self._wait, others=1.9, stolen=0.0)]
 
 
-@pytest.mark.parametrize(("wait", "blamed"), [(2 * STARVED, True), (0.5 * STARVED, False)])
-def test_a_real_time_flight_that_the_host_starved_says_that_and_nothing_else(wait: float, blamed: bool) -> None:
+@pytest.mark.parametrize(("wait", "is_named"), [(2 * STARVED, True), (0.5 * STARVED, False)])
+def test_a_real_time_flight_that_the_host_starved_says_that_and_nothing_else(wait: float, is_named: bool) -> None:
     text = "the vehicle does not act on setpoints. Hide less"
-    with pytest.raises(VehicleError) as caught, blaming_the_host(ScriptedMeter(wait)):
+    with pytest.raises(VehicleError) as caught, naming_starvation(ScriptedMeter(wait)):
         raise VehicleError(text)
-    if not blamed:
+    if not is_named:
         assert str(caught.value) == text
         return
     assert "this machine was too busy for a flight in real time" in str(caught.value)
