@@ -1,6 +1,7 @@
 # make demo   fly the mock, diagnose its hidden effect, write the report
-# make test   the whole test suite
-# make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
+# make test   the tests of every change
+# make test-all  those that take long as well: every page's commands, every case of the verdict, every journey
+# make lint   ruff, mypy, import-linter, the glossary's rules for identifiers and docstrings
 # make docs   the documentation as a site in build/site; a warning is an error
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
@@ -17,13 +18,15 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCKED := $(PIP) --require-hashes --no-deps --requirement
+# one thread a library: with their pools two workers on two processors took 115 s for a test of 23 s
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 30
 RECIPE := pyproject.toml constraints.txt $(wildcard requirements/*.lock)
 HOURS ?= 8
 UV ?= uv
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test lint docs study study-public wheel fuzz licences conformance clean $(STUDIES)
+.PHONY: demo hour test test-all lint docs study study-public wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -32,9 +35,11 @@ demo: .venv/workbench.stamp
 hour: .venv/workbench.stamp
 	$(BIN)/python examples/whole_hour.py --out "$$(mktemp -d)/whole_hour"
 
-# one thread a library: with their pools two workers on two processors took 115 s for a test of 23 s
 test: .venv/development.stamp
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 30
+	$(PYTEST)
+
+test-all: .venv/development.stamp
+	$(PYTEST) -m "slow or not slow"
 
 lint: .venv/development.stamp
 	$(BIN)/ruff check .

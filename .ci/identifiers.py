@@ -1,6 +1,8 @@
-"""Refuse identifiers made of words that docs/glossary.md replaces by the field's terms.
+"""Refuse identifiers of words that docs/glossary.md replaces by the field's terms, and docstrings that name nothing.
 
-Checks what a file defines (names, arguments, functions, classes, attributes, the file's own name), not what it uses.
+Checks what a file defines (names, arguments, functions, classes, attributes, the file's own name), not what it uses;
+of C every identifier, since there is no parser here that knows which are defined. The first words of a docstring name
+the thing: `OPENINGS` refer to something else, or begin with a relative clause. Tests' docstrings are left out.
 
     python .ci/identifiers.py [PATH ...]
 """
@@ -17,6 +19,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 IMPOSED = frozenset({"tell"})  # by Python's file objects
 PARTS, NAMES = "## Words that no part of an identifier is", "## Words that are no name by themselves"
+OPENINGS = ("What ", "The same", "That of ", "Those ")
+TESTS = "tests/"
+PENDING = ("simulation/", "studies/demo/", "alula/cli/demo")  # docstrings that are rewritten with their code
+NOT_CODE = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.DOTALL)  # comments and strings of C
 
 
 def refused_words() -> tuple[frozenset[str], frozenset[str]]:
@@ -40,30 +46,76 @@ def defined_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
                 yield node.lineno, node.name
 
 
+def names_in_c(text: str) -> Iterator[tuple[int, str]]:
+    """(line, name) of each identifier of a C file, where it first stands; comments and strings are left out."""
+    code = NOT_CODE.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text)
+    seen_names: set[str] = set()
+    for number, line in enumerate(code.splitlines(), 1):
+        for name in re.findall(r"[A-Za-z_]\w*", line):
+            if name not in seen_names:
+                seen_names.add(name)
+                yield number, name
+
+
 def parts_of(name: str) -> set[str]:
     """The words of a snake_case or CamelCase name: constants stay upper case, all else is lower case."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
     return {word if word.isupper() and len(word) > 1 else word.lower() for word in words}
 
 
-def main() -> int:
-    """Print every refused identifier. Returns the exit code."""
-    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
-    below = tuple(sys.argv[1:])
+def refused_names(names: Iterator[tuple[int, str]], *, of_python: bool = True) -> Iterator[tuple[int, str]]:
+    """(line, complaint) of each refused name. of_python: words that are no name by themselves count, too."""
     parts, names_refused = refused_words()
     refused_parts = parts | {word.upper() for word in parts}
+    for line, name in names:
+        words = parts_of(name) & refused_parts
+        if of_python and name.strip("_").lower() in names_refused:
+            words.add(name)
+        if words and name not in IMPOSED and not name.startswith("test_"):
+            yield line, f"{name}: {', '.join(sorted(words))} is replaced in docs/glossary.md"
+
+
+def unnamed_docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """(line, complaint) of each docstring whose first words do not name what it describes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node)
+            if text and text.startswith(OPENINGS):
+                opening = next(opening for opening in OPENINGS if text.startswith(opening))
+                yield node.body[0].lineno, f"a docstring begins with {opening.strip()!r}: name the thing first"
+
+
+def unnamed_comments(text: str) -> Iterator[tuple[int, str]]:
+    """(line, complaint) of each comment of a C file that begins as no docstring may."""
+    for match in re.finditer(r"/\*\s+(" + "|".join(OPENINGS) + ")", text):
+        line = text.count("\n", 0, match.start()) + 1
+        yield line, f"a comment begins with {match[1].strip()!r}: name the thing first"
+
+
+def complaints(path: str, text: str) -> Iterator[tuple[int, str]]:
+    """(line, complaint) of a file of Python or C. path: in the repository, with forward slashes."""
+    if not path.endswith(".py"):
+        yield from refused_names(names_in_c(text), of_python=False)
+        yield from unnamed_comments(text)
+        return
+    tree = ast.parse(text)
+    yield from refused_names(iter([(1, Path(path).stem), *defined_names(tree)]))
+    if not path.startswith((TESTS, *PENDING)):
+        yield from unnamed_docstrings(tree)
+
+
+def main() -> int:
+    """Print every complaint. Returns the exit code."""
+    command = ["git", "ls-files", "*.py", "*.c", "*.h"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    below = tuple(sys.argv[1:])
     count = 0
     for path in listed.stdout.split():
         if path.startswith("tests/data/") or (below and not path.startswith(below)) or not (ROOT / path).exists():
             continue
-        names = [(1, Path(path).stem), *defined_names(ast.parse((ROOT / path).read_text(encoding="utf-8")))]
-        for line, name in names:
-            words = parts_of(name) & refused_parts
-            if name.strip("_").lower() in names_refused:
-                words.add(name)
-            if words and name not in IMPOSED and not name.startswith("test_"):
-                count += 1
-                print(f"{path}:{line}: {name}: {', '.join(sorted(words))} is replaced in docs/glossary.md")
+        for line, complaint in complaints(path, (ROOT / path).read_text(encoding="utf-8")):
+            count += 1
+            print(f"{path}:{line}: {complaint}")
     return int(count > 0)
 
 

@@ -33,7 +33,7 @@ def nominal(vehicle: Vehicle, scale: float) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def learned(network: Network, scale: float) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """The same by a network of one column, T = 1; unrolled as SX it is several times slower."""
+    """Model by a network of one column, T = 1; unrolled as SX it is several times slower."""
     x, u = ca.MX.sym("x", 13), ca.MX.sym("u", network.rotors)
     accelerations = network_output(network, ca.vertcat(x, scale * u))
     force = quaternion.rotate(x[6:10], accelerations[0:3])  # specific force in body axes

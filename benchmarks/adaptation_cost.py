@@ -1,4 +1,4 @@
-"""What following costs a tick, in the urgent half (estimate to setpoint) and in the preparation after it.
+"""Cost of following per tick, in the urgent half (estimate to setpoint) and in the preparation after it.
 
 The same flights in lockstep, tick for tick, by the vehicle file's model and by models that follow: processor time of
 the flight logic's two halves, the least of several flights that do the same. Following adds the difference of the same

@@ -1,7 +1,7 @@
 """Bad input to every command: the exit code, what the message names, and that nothing is left behind.
 
 Each is a command line as a user would type it, run as a process of its own in a folder with good and spoilt files.
-Handled means: the exit code that the README's table gives, no traceback, a message that names what was given or what
+Handled means: the exit code that docs/commands.md gives, no traceback, a message that names what was given or what
 is wrong with it, and no file written under --out.
 
     python -m benchmarks.bad_inputs [--only WORD] [--jobs 1]
@@ -57,7 +57,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of it. wrong: why it does not count as handled, empty where it does."""
+    """Outcome of a command line. wrong: why it does not count as handled, empty where it does."""
 
     case: Case
     code: int

@@ -1,4 +1,4 @@
-"""What the flight computer's install takes on disk, which packages take it, and how long its commands take to start.
+"""Size of the flight computer's install on disk, which packages take it, and how long its commands take to start.
 
 python -m benchmarks.base_install_size
 """

@@ -1,4 +1,4 @@
-"""What the demo gains: prediction and tracking error before and after, over seeds, and for each catalogued effect.
+"""Gain of the demo: prediction and tracking error before and after, over seeds, and for each catalogued effect.
 
 In simulated time, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default,
 then one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was

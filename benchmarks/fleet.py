@@ -61,7 +61,7 @@ class Run:
 
 
 def kind_of(vehicle: str) -> str:
-    """What a vehicle of a name hides."""
+    """Hidden effect of a vehicle of a name."""
     return KINDS[int(vehicle.removeprefix("v")) * len(KINDS) // VEHICLES]
 
 

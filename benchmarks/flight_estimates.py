@@ -1,4 +1,4 @@
-"""What a model followed in flight against the truth, the diagnosis of the flight, and the next vehicle file.
+"""Parameters followed in flight against the truth, the diagnosis of the flight, and the next vehicle file.
 
 Random drags and winds that no vehicle file has, in lockstep on the mock's vehicle: the wind as it is named, how many
 of the intervals hold, whether `alula diagnose` on the recording agrees, and the prediction error on another flight with
@@ -76,7 +76,7 @@ def flown(seed: int) -> dict[str, Any]:
 
 
 def _next_file(path: Path, folder: Path, seed: int) -> dict[str, Any]:
-    """What --from-flight writes, and the errors of file and next file on another flight with the same effects."""
+    """Next file by --from-flight, and the errors of file and next file on another flight with the same effects."""
     vehicle = read_vehicle(FOLDER / f"{VEHICLE}.toml")
     try:
         added = alula.add_from_flight(path, vehicle)

@@ -69,7 +69,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Trial:
-    """What is hidden, and the seed of its size and of the sensors."""
+    """Hidden effect, and the seed of its size and of the sensors."""
 
     hidden: str
     seed: int

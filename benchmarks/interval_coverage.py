@@ -72,7 +72,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """What is hidden, what is logged ("speeds", "commands" or "estimator"), and a seed."""
+    """Hidden effect, logged quantities ("speeds", "commands" or "estimator"), and a seed."""
 
     logged: str
     name: str
@@ -84,7 +84,7 @@ class Case:
         return f"{self.logged}-{self.name}-{self.seed}"
 
     def campaign(self) -> Campaign:
-        """What is flown."""
+        """Flights of the case."""
         random = np.random.default_rng([*self.key.encode()])
         commands = self.logged != "speeds"
         rate, pose = (250.0, "estimator") if self.logged == "estimator" else (100.0, "motion_capture")

@@ -39,7 +39,7 @@ STANDING = 0.05  # of the weight, thrust below which the motors count as stopped
 class Landing:
     """One landing. before, tilt, settled: degrees, mean of the 0.5 s before contact, from it on, from 0.5 s later on.
 
-    motors, disarmed: s from contact. caught: contacts that were none.
+    motors, disarmed: s from contact. caught: false contacts.
     """
 
     seed: int

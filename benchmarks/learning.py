@@ -104,7 +104,7 @@ def share(sweep: Sweep) -> None:
 
 
 def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
-    """What became of a study's cells. only: those that are finished already."""
+    """Outcomes of a study's cells. only: those that are finished already."""
     share(sweep)
     finished: dict[int, Outcome] = {}
     for place, outcome in finished_cells(sweep.works) if only else run_cells(sweep.works, jobs=1, scheduler=None):

@@ -1,4 +1,4 @@
-"""What one message costs between the socket and the state estimate: our framing, pymavlink's parser, mavutil.
+"""Cost of one message between the socket and the state estimate: our framing, pymavlink's parser, mavutil.
 
 The recorded link to real PX4 (tests/data/px4_sih_offboard) is fed frame by frame, as datagrams arrive: every message,
 and ODOMETRY alone, which is what a setpoint waits for. Then datagrams of 1,400 bytes that hold no frame, random bytes

@@ -6,6 +6,8 @@ a node, its derivatives by CasADi as MX, which is acados' faster way): same prob
 lemniscate at 5.1 m/s, same run, in turns of fifty ticks on the same core.
 
     python -m benchmarks.mlp_against_acados [--networks build/rti_network]      two minutes, five where it has to train
+
+With `--ticks` it is a trial that writes no page: fewer ticks, by networks that were hardly trained.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ from benchmarks.rti_flight import NETWORKS, PERIODS, ROOT, fly, networks, solver
 from export.trained import read_model
 from runtime.control.rti.processor import native_processor
 from runtime.control.rti.solver import RtiSolver
+
+TRIAL, TRIAL_STEPS = NETWORKS.with_name("rti_network_trial"), 300
 
 
 def record_cases(networks_folder: Path, folder: Path) -> tuple[Path, Path, int]:
@@ -81,13 +85,15 @@ def table(workers: list[Worker]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--networks", type=Path, default=NETWORKS)
+    parser.add_argument("--ticks", type=int)
     parser.add_argument("--own-worker", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.own_worker:
         answer(solver_for(read_model(arguments.own_worker), native_processor()))
         return
-    install, checkpoints = acados_environment(), networks(arguments.networks)
-    folder = ROOT / "build" / "mlp_against_acados"
+    trial = arguments.ticks is not None
+    checkpoints = networks(TRIAL, TRIAL_STEPS) if trial else networks(arguments.networks)
+    install, folder = acados_environment(), ROOT / "build" / "mlp_against_acados"
     cases, problem, ticks = record_cases(checkpoints, folder)
     processor, workers = native_processor().name, []
     for build, environment in (("acados' (Haswell)", {"ALULA_HPIPM": str(install)}), ("CasADi's (generic)", {})):
@@ -98,7 +104,10 @@ def main() -> None:
     for condensing in CONDENSING:
         name = f"acados SQP_RTI, MLP, T = 1, {condensing}"
         workers.append(acados_worker(name, install, problem, condensing, folder / condensing.lower()))
-    take_turns(workers, cases, ticks)
+    take_turns(workers, cases, min(ticks, arguments.ticks) if trial else ticks)
+    if trial:
+        print(table(workers))
+        return
     write_result("mlp_against_acados", "Learned models' RTI step against acados with the MLP, one core", table(workers))
 
 

@@ -1,4 +1,4 @@
-"""What the mock flight controller costs: its share of a core in real time, and its factor in lockstep.
+"""Cost of the mock flight controller: its share of a core in real time, and its factor in lockstep.
 
 Real time: the process on UDP with PX4's default streams on both links, idle and flown at 100 Hz with ODOMETRY and
 ESC_STATUS at 100 Hz. Lockstep: the same objects in this process, a SET_ATTITUDE_TARGET in and all frames out every

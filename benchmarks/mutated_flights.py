@@ -74,7 +74,7 @@ class Case(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct):
-    """What came of a case.
+    """Outcome of a case.
 
     what: the mutation in words. hidden: the effect beneath it. answer: the answer or the refusal. took: s.
     """

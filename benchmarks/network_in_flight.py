@@ -125,7 +125,7 @@ def checkpoint_of(model: str) -> Path:
 
 
 def uses(hidden: str, rotors: int) -> list[EffectUse]:
-    """What the vehicle hides: the campaign's, with other values and more."""
+    """Hidden effects of the vehicle: the campaign's, with other values and more."""
     changed, campaign = HIDDEN[hidden], [parse_effect(text, rotors) for text in REAL_WORLD]
     there = [EffectUse(use.name, {**use.parameters, **changed.get(use.name, {})}, use.rotor) for use in campaign]
     names = {use.name for use in campaign}

@@ -39,7 +39,7 @@ Activations = list[Floats]  # standardised newest inputs, code, hidden layers of
 
 
 def activations(model: TrainedModel, data: LabelledRows) -> Activations:
-    """What the first member's layers give at a data set's windows."""
+    """Activations of the first member's layers at a data set's windows."""
     network, scaling = model.networks[0], model.scaling
     decoder = network.decoder
     assert isinstance(decoder, nn.Sequential)

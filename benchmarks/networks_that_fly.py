@@ -1,4 +1,4 @@
-"""What a network is trained with, how it then predicts, and how it flies: one member each.
+"""Training recipes of networks, how each then predicts, and how it flies: one member each.
 
 Needs `alula campaign --out build/campaign_learning`. Trains through `alula train`; interrupted, it resumes.
 Flown: 15 s of the Lemniscate in lockstep on the campaign's vehicle with all that it hides, as `table_two.py` does.

@@ -1,4 +1,4 @@
-"""What output error does to parameters: planted effects fitted by equation error, then by output error.
+"""Effect of output error on parameters: planted effects fitted by equation error, then by output error.
 
 Nine flights of 12 s of the mock's vehicle (M) and of RotorPy's (R); two are held out. The held-out errors are those by
 which `alula add` decides which of the two fits it keeps.

@@ -53,7 +53,7 @@ ROTORPY_CANNOT_SIZE = ("wind", "gust")  # they need a drag in the vehicle file
 
 @dataclass(frozen=True)
 class Case:
-    """What is hidden (nothing if empty), times the noise floor that it makes, factor on the noise, seed, simulator."""
+    """Hidden effect (nothing if empty), times the noise floor that it makes, factor on the noise, seed, simulator."""
 
     kind: str
     effects: tuple[str, ...]
@@ -144,7 +144,7 @@ def flown(case: Case) -> tuple[Dataset, list[EffectUse]]:
 
 
 def _parts(flight: Flight) -> tuple[object, ...]:
-    """What makes the flight, for pickle, which knows no read-only dictionaries."""
+    """Parts that make the flight, for pickle, which knows no read-only dictionaries."""
     columns, origins = dict(flight.columns), dict(flight.origins)
     return (flight.time, columns, flight.provenance, origins, dict(flight.parameters), dict(flight.metadata))
 

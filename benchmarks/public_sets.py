@@ -170,7 +170,7 @@ def _shortened(error: AlulaError, path: Path) -> str:
 
 
 def section(public: PublicSet, folder: Path, limit: int) -> str:
-    """What a diagnosis says of a set, held-out errors over their floor, and open-loop errors before and after.
+    """Diagnosis of a set: its sentence, held-out errors over their floor, and open-loop errors before and after.
 
     Raises RequestError where no flight of it can be read.
     """

@@ -63,7 +63,7 @@ def folder_of(name: str, seed: int) -> Path:
 
 
 def answer(name: str, seed: int) -> Result:
-    """What is said of a set."""
+    """Answer of the diagnosis to a set."""
     folder = folder_of(name, seed)
     result: Result = {"key": f"{name}-{seed}", "name": name, "seed": seed}
     result["hidden"] = json.loads((folder / "hidden.json").read_text())
@@ -113,7 +113,7 @@ def value_errors(result: Result) -> list[float]:
 
 
 def spoken(result: Result) -> str:
-    """What was said, in short."""
+    """Answer of the diagnosis, in short."""
     if "report" not in result:
         return str(result.get("error", result.get("refused")))[:150]
     report = result["report"]

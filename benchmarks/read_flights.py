@@ -84,7 +84,7 @@ def measure_chunks(path: Path, seconds: float) -> None:
 
 
 def reading_in_chunks() -> str:
-    """What a log costs that need not fit into memory."""
+    """Cost of a log that need not fit into memory."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
         size = long_csv(path)

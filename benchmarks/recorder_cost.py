@@ -1,4 +1,4 @@
-"""What recording costs: the control thread per tick, the writer's thread per second of flight, and the disk.
+"""Cost of recording: the control thread per tick, the writer's thread per second of flight, and the disk.
 
 python -m benchmarks.recorder_cost [--seconds 20]
 """
@@ -28,7 +28,7 @@ RATE = 100
 
 
 def records(rng: np.random.Generator, tick: int, now: float) -> list[Record]:
-    """What one tick hands over; every tenth has a horizon."""
+    """Records of one tick; every tenth has a horizon."""
     v3, v4 = rng.normal(size=3), rng.normal(size=4)
     made: list[Record] = [
         EstimateRecord(now, now, v3, v3, v4, v3, 3),

@@ -80,7 +80,7 @@ def happening(case: Mapping[str, Any], arm: float) -> tuple[list[EffectUse], dic
 
 
 def flown(case: Mapping[str, Any]) -> dict[str, Any]:
-    """What was named, s after it happened, and errors before and after, m.
+    """Named effects, s after it happened, and errors before and after, m.
 
     Where the mock's own autopilot is blown past the reference's start, another seed.
     """

@@ -64,7 +64,7 @@ def drawn(number: int) -> dict[str, Any]:
 
 
 def flown(case: Mapping[str, Any]) -> dict[str, Any]:
-    """What was named, s after it happened."""
+    """Named effects, s after it happened."""
     file = FOLDER / f"{case['vehicle']}.toml"
     vehicle = read_vehicle(file)
     options = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, adaptation=ON)
@@ -100,7 +100,7 @@ def flown(case: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def flown_over_udp(case: Mapping[str, Any]) -> dict[str, Any]:
-    """The same by the daemon, in real time over MAVLink; the autopilot sends both messages."""
+    """Named effects by the daemon, in real time over MAVLink; the autopilot sends both messages."""
     file = FOLDER / f"{case['vehicle']}.toml"
     vehicle = read_vehicle(file)
     with tempfile.TemporaryDirectory() as folder:

@@ -4,7 +4,7 @@ Both solvers answer the same recorded sequence of states (a flight of the paper'
 and rotor drag) in turns of fifty ticks, each pinned to the same core and free to use one thread. acados comes from
 PyPI's comma-deps-acados in an environment of its own, because it brings a casadi of its own.
 
-    python -m benchmarks.rti_against_acados [--hpipm FOLDER]
+    python -m benchmarks.rti_against_acados [--ticks 600]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 import venv
 from pathlib import Path
 
@@ -35,15 +36,22 @@ TICKS = 600
 
 
 def acados_environment() -> Path:
-    """The folder of acados' own environment, made when it is not there. Returns acados' install folder."""
-    python = ENVIRONMENT / "bin" / "python"
-    if not python.exists():
-        venv.create(ENVIRONMENT, with_pip=True)
-        packages = ["comma-deps-acados", "numpy", "msgspec", "tomli-w"]
-        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
+    """acados' own environment, made anew when what the project needs has changed. Returns acados' install folder."""
+    python, made_for = ENVIRONMENT / "bin" / "python", ENVIRONMENT / "packages"
+    packages = "\n".join(["comma-deps-acados", *base_packages()])
+    if not made_for.exists() or made_for.read_text(encoding="utf-8") != packages:
+        venv.create(ENVIRONMENT, with_pip=True, clear=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages.splitlines()], check=True)
+        made_for.write_text(packages, encoding="utf-8")
     code = "import acados, os; print(os.path.dirname(acados.__file__))"
     acados_folder = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
     return Path(acados_folder) / "install"
+
+
+def base_packages() -> list[str]:
+    """Packages of the base install, by which a vehicle file is read; CasADi is the one that acados brings."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return list(project["dependencies"])
 
 
 def record_cases(folder: Path) -> tuple[Path, Path]:
@@ -175,7 +183,9 @@ def table(workers: list[Worker]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--own-worker", action="store_true", help=argparse.SUPPRESS)
-    if parser.parse_args().own_worker:
+    parser.add_argument("--ticks", type=int, default=TICKS, help="Fewer for a trial, which writes no page.")
+    arguments = parser.parse_args()
+    if arguments.own_worker:
         answer(RtiSolver(build_model(read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")), Problem()))
         return
     install = acados_environment()
@@ -190,8 +200,11 @@ def main() -> None:
             for condensing in CONDENSING
         ),
     ]
-    take_turns(workers, cases, TICKS)
-    write_result("rti_against_acados", "Nominal RTI step against acados, one core", table(workers))
+    take_turns(workers, cases, arguments.ticks)
+    if arguments.ticks < TICKS:
+        print(table(workers))
+    else:
+        write_result("rti_against_acados", "Nominal RTI step against acados, one core", table(workers))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def with_each_blasfeo(module: str, folder: Path) -> dict[str, Any]:
 
 
 def unlimited(model: ExportedModel) -> ExportedModel:
-    """The same without limits on body rates, which the prototype's problem did not have."""
+    """Model without limits on body rates, which the prototype's problem did not have."""
     return dataclasses.replace(model, vehicle=msgspec.structs.replace(model.vehicle, limits=Limits(rate=(1e3,) * 3)))
 
 

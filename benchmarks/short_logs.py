@@ -1,4 +1,4 @@
-"""What diagnosis says of one short log: nothing hidden, and a drag, in 22 s and in a minute of flight.
+"""Diagnosis of one short log: nothing hidden, and a drag, in 22 s and in a minute of flight.
 
     python -m benchmarks.short_logs [--logs 200] [--seed 940000]
 
@@ -24,7 +24,7 @@ LENGTHS = {"22 s": (SHORT, 1), "a minute": (MINUTE, 4)}  # the longer ones are a
 
 
 def answer(report: Diagnosis, hidden: str) -> tuple[str, ...]:
-    """What was said: the verdict, "wrong effect" for another than the hidden one, and the tests that fired."""
+    """Answer: the verdict, "wrong effect" for another than the hidden one, and the tests that fired."""
     names = [effect.name for effect in report.effects]
     wrong = [name for name in names if name != hidden]
     verdict = "wrong effect" if wrong and report.verdict in ("effect", "ambiguous") else report.verdict

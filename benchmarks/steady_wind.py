@@ -44,7 +44,7 @@ def drawn(number: int) -> dict[str, Any]:
 
 
 def flown(case: Mapping[str, Any]) -> dict[str, Any]:
-    """What is named at the end of a flight, with standard deviations."""
+    """Named effects at the end of a flight, with standard deviations."""
     vehicle = read_vehicle(FOLDER / f"{VEHICLE}.toml")
     name, values = DRAG
     coefficient = values["coefficient"]

@@ -1,4 +1,4 @@
-"""What a log of 2 GB does to the studio: memory of the server and of the working process, and what the page says.
+"""Studio with a log of 2 GB: memory of the server and of the working process, and what the page says.
 
     python -m benchmarks.studio_large_logs [--size 2.0] [--memory 4.0]
 
@@ -101,7 +101,7 @@ def large_csv(log: Path, size: int, path: Path) -> Path:
 
 
 def answer(page: Page) -> str:
-    """What the page says of the log in the end."""
+    """Text of the page about the log in the end."""
     began = time.monotonic()
     while time.monotonic() - began < PATIENCE:
         alert = page.locator("#main .mantine-Alert-message")

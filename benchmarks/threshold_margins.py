@@ -1,4 +1,4 @@
-"""What halving and doubling a threshold does to verdicts. Writes results/threshold_margins.md.
+"""Margins of thresholds: verdicts with half and double of each. Writes results/threshold_margins.md.
 
 Every threshold whose line names no other origin ("margins") is halved and doubled, one at a time (a factor's or a
 share's distance from 1, where it has one), on flights of the outside simulator, of real PX4 and of a real Crazyflie
@@ -252,7 +252,7 @@ def runs(done: set[str]) -> Iterator[dict[str, Any]]:
 
 
 def varied(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, Case]]:
-    """What is to be run: each threshold, by how much, and the cases that read it."""
+    """Runs: each threshold, by how much, and the cases that read it."""
     reads = {r["case"]: set(r["reads"]) for r in results if r["key"].startswith("default ")}
     chosen, before = [], set[str]()
     for case in cases():

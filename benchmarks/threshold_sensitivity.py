@@ -1,4 +1,4 @@
-"""What a fit's thresholds do to its estimates: each is halved and doubled. Writes results/threshold_sensitivity.md.
+"""Sensitivity of estimates to a fit's thresholds, each halved and doubled. Writes results/threshold_sensitivity.md.
 
 Known sets on flights of the outside simulator, as in `interval_coverage`. A shift is that of an estimate over its
 standard deviation, a width is the standard deviation over that with the default; the largest over the cases counts.

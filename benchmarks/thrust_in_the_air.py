@@ -64,7 +64,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Flown:
-    """What became of a case.
+    """Outcome of a case.
 
     lifted: clearance at which the ramp counted as lifted, m; negative while the ground still carried the vehicle.
     estimated: estimated over true thrust, at lift-off.

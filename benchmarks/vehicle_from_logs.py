@@ -61,7 +61,7 @@ def of_px4() -> Iterator[tuple[str, dict[str, Pair]]]:
 
 
 def of_mock(seeds: Sequence[int]) -> Iterator[tuple[str, dict[str, Pair]]]:
-    """The same of drawn vehicles."""
+    """Numbers and truths of drawn vehicles."""
     file = read_vehicle(find_vehicle("arpl_250g"))
     for seed in seeds:
         random = np.random.default_rng(seed)

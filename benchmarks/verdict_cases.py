@@ -70,7 +70,7 @@ def flies_our_campaign(case: Case) -> bool:
 
 
 def campaign_of(case: Case) -> Campaign:
-    """What the outside simulator flies."""
+    """Flights of the outside simulator for a case."""
     random = case.random
     number = int(random.integers(2**31))
     noise, rate = (

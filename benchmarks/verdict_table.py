@@ -106,7 +106,7 @@ def table(results: Sequence[Result]) -> str:
 
 
 def visible(result: Result) -> list[str]:
-    """What is hidden and can show: no gust, which is a nuisance, nor a lag of motors whose speeds are measured."""
+    """Hidden effects that can show: no gust, which is a nuisance, nor a lag of motors whose speeds are measured."""
     commands = result["conditions"].get("recorder", {}).get("commands", False)
     return [n for n in result["hidden"] if n != "gust" and (n != "motor_lag" or commands)]
 
@@ -238,7 +238,7 @@ def wrong_answers(results: Sequence[Result]) -> str:
 
 
 def fault_of(r: Result) -> str:
-    """What is wrong with an answer, empty where nothing is."""
+    """Fault of an answer, empty where there is none."""
     if "error" in r:
         return "traceback"
     if "report" not in r:

@@ -43,7 +43,7 @@ def planned(options: argparse.Namespace) -> list[Case]:
 
 
 def answer(case: Case) -> dict[str, Any]:
-    """What is said of a case that was flown."""
+    """Answer of the diagnosis to a case that was flown."""
     described = json.loads((case.folder / "case.json").read_text())
     result: dict[str, Any] = {"key": case.key, "kind": case.kind, "name": case.name, "seed": case.seed, **described}
     logs, vehicle = logs_of(case.folder), str(case.folder / "vehicle.toml")

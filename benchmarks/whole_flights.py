@@ -1,4 +1,4 @@
-"""What benchmarks of whole flights share: a vehicle with its controllers, their options, the flights one by one."""
+"""Common parts of benchmarks of whole flights: a vehicle with its controllers, options, the flights one by one."""
 
 from __future__ import annotations
 

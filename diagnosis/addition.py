@@ -241,7 +241,7 @@ def _require_no_drift(
 
 
 def _action(fitted: Fit, vehicle: Vehicle) -> str:
-    """What was done to a vehicle, for its history."""
+    """Action on a vehicle, as its history states it."""
     own = {(use.name, use.rotor) for use in vehicle.effects}
     parts = {
         "added": [c.key for c in fitted.candidates if c.identity not in own],
@@ -271,7 +271,7 @@ def _no_value(effect: Effect) -> str:
 
 
 def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE) -> tuple[str, ...]:
-    """What is doubtful about the effects of a diagnosis that a vehicle file can hold.
+    """Doubts about the effects of a diagnosis that a vehicle file can hold.
 
     Raises DataError when there is none.
     """
@@ -305,7 +305,7 @@ def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOG
 
 
 def _as_gain(gain: CommandGain | None) -> str:
-    """What to do about a gain of the commands, which no fit tells from the motors' own."""
+    """Advice about a gain of the commands, which no fit tells from the motors' own."""
     assert gain is not None
     return (
         f"the rotors give {gain.value:.3g} times the thrust of the file for their commands, and commands alone do not "

@@ -1,4 +1,4 @@
-"""What was added, as `alula add --json` writes it."""
+"""Report of an addition, as `alula add --json` writes it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class OpenLoop(msgspec.Struct, frozen=True):
 
 
 class AdditionReport(msgspec.Struct, frozen=True):
-    """What `alula add --json` writes.
+    """Document that `alula add --json` writes.
 
     effect: the first that was added, by its name in the model, the rotor in brackets.
     effects: all of them.

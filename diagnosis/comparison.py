@@ -55,7 +55,7 @@ class WorstSeconds(msgspec.Struct, frozen=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """What `alula compare --json` writes."""
+    """Document that `alula compare --json` writes."""
 
     axes: tuple[AxisError, ...]
     fails_where: tuple[Failure, ...]

@@ -44,7 +44,7 @@ from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterVal
 from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.residual_tests import ErringRows, Rejection, ResidualTests, run_residual_tests
+from diagnosis.selection.residual_tests import PerturbedResiduals, Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
 from diagnosis.verdict import (
@@ -249,7 +249,7 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """What the residuals of an accepted fit say.
+    """Outcome of the residual tests about an accepted fit.
 
     selection: with the gust beside that fit.
     after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.
@@ -288,30 +288,32 @@ class _Judgement:
         by_fit, selection = with_gust_about(regression, self._first, self._selected, accepted.fit)
         after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
         fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
-        erring = self._erring_rows(accepted, fitted)
-        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected, erring=erring)
+        perturbed = self._perturbed_residuals(accepted, fitted)
+        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected, perturbed=perturbed)
         tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
         refused = gust_refusal(by_fit, selection, tests, regression.thresholds.verdict)
         gusty = selection.gust_detected and refused is None
         if gusty and (gust := turbulence_of(selection.gust, by_fit)) is not None:
-            tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, erring=erring)
+            tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, perturbed=perturbed)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
         rejected = self._rejected(accepted, tests, after, fitted, gusty=gusty)
         return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
-    def _erring_rows(self, accepted: Accepted, fitted: list[Floats]) -> Callable[[], list[ErringRows]] | None:
+    def _perturbed_residuals(
+        self, accepted: Accepted, fitted: list[Floats]
+    ) -> Callable[[], list[PerturbedResiduals]] | None:
         """Makes draws of the fitted segments with an estimator's errors. fitted: (m, 12) residuals without."""
         regression = self._regression
 
-        def added(segments: Sequence[Segment]) -> ErringRows:
+        def added(segments: Sequence[Segment]) -> PerturbedResiduals:
             rows = residuals_in(regression, accepted.fit.vehicle, segments)
-            return ErringRows(segments, differences(rows, fitted))
+            return PerturbedResiduals(segments, differences(rows, fitted))
 
-        return (lambda: [added(segments) for segments in self._erring]) if regression.pose.there else None
+        return (lambda: [added(segments) for segments in self._perturbed]) if regression.pose.there else None
 
     @cached_property
-    def _erring(self) -> list[list[Segment]]:
+    def _perturbed(self) -> list[list[Segment]]:
         limits, random = self._regression.thresholds.pose, np.random.default_rng(SEED)
         return [with_velocity_errors(self._dataset.fitted, random, limits) for _ in range(limits.draws)]
 

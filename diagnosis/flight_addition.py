@@ -53,7 +53,7 @@ class LeftOut(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class FlightAddition:
-    """What a flight adds to its vehicle.
+    """Addition of a flight's followed parameters to its vehicle.
 
     vehicle: with the values at the end of tracking, and one more line of history.
     parameters: of the effects in it that were followed, by their names in a model.
@@ -71,7 +71,7 @@ class FlightAddition:
 
 
 class FlightAdditionReport(msgspec.Struct, frozen=True):
-    """What `alula add --from-flight --json` writes.
+    """Document that `alula add --from-flight --json` writes.
 
     effects: names in a model of what was added or corrected, the rotor in brackets.
     parameters: of these, as they were followed.

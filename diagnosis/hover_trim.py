@@ -49,7 +49,7 @@ class RotorShare(msgspec.Struct, frozen=True):
 
 
 class TrimComparison(msgspec.Struct, frozen=True):
-    """What `alula diagnose --normal --json` writes.
+    """Document that `alula diagnose --normal --json` writes.
 
     verdict: "ambiguous" where a rotor works harder, else "explained".
     effects: a weak rotor, ambiguous with the centre of mass.

@@ -1,4 +1,4 @@
-"""What models followed in recorded flights, beside the diagnosis of these flights: whether both agree, or why not."""
+"""Parameters followed in recorded flights, beside the diagnosis of these flights: whether both agree, or why not."""
 
 from __future__ import annotations
 

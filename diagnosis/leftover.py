@@ -1,4 +1,4 @@
-"""What rejected tests of the residuals found: in which channel, how large, when and in which regime."""
+"""Findings of rejected residual tests: in which channel, how large, when and in which regime."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def leftover(
     vehicle: Vehicle,
     thresholds: RegimeThresholds = DEFAULT.regimes,
 ) -> tuple[Leftover, ...]:
-    """What the tests that rejected found, the largest over its floor first.
+    """Findings of the tests that rejected, the largest over its floor first.
 
     fitted, held_out: the segments that were tested; a typical window is of the latter.
     """

@@ -1,4 +1,4 @@
-"""What to fly or do next, about what a diagnosis leaves open: look-alikes, leftovers, hints, what was not excited."""
+"""Next flight or action for what a diagnosis leaves open: look-alikes, leftovers, hints, what was not excited."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _manoeuvre(effect: Effect) -> str:
 
 
 def _about(leftover: Leftover) -> str:
-    """What to do about what a test of the residuals found."""
+    """Advice about the finding of a residual test."""
     match leftover.test:
         case "spectral_line":
             return (

@@ -134,7 +134,7 @@ def regime_planes(
     vehicle: Vehicle,
     thresholds: RegimeThresholds = DEFAULT.regimes,
 ) -> tuple[Plane, ...]:
-    """The same over two quantities at once: speed and thrust, roll and pitch rate, place."""
+    """Errors over two quantities at once: speed and thrust, roll and pitch rate, place."""
     squares, values, bins = _over_floor(rows, floor), row_quantities(segments, vehicle, thresholds), thresholds.bins
     planes = []
     for across, up in PLANES:

@@ -88,7 +88,7 @@ class Seconds(msgspec.Struct, frozen=True):
 
 
 class Leftover(msgspec.Struct, frozen=True):
-    """What a test of the residuals found beyond noise, for which the verdict is unknown.
+    """Finding of a residual test beyond noise, for which the verdict is unknown.
 
     test: which one.
     channel: in which this is largest, such as "imu x".
@@ -195,12 +195,12 @@ class Diagnosis(msgspec.Struct, frozen=True):
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
-    """What an explained residual consists of."""
+    """Composition of an explained residual, in words."""
     fast = [kind for kind, error in errors.items() if not error.at_sensors]
     if not fast:
         return "the sensors' noise"
     names = " and ".join(map(channel_name, fast))
-    return f"what no effect of the catalogue makes; in {names} that is mostly fast and no sensor's noise"
+    return f"a residual that no catalogued effect explains, in {names} mostly fast and above the sensors' noise"
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -213,8 +213,8 @@ def _gain_sentence(gain: CommandGain | None) -> str:
         return ""
     return (
         f" The rotors give {gain.value:.3g} ± {1.96 * gain.std:.2g} times the thrust that the file gives for their "
-        f"commands: {' or '.join(gain.look_alikes)} may be behind it, which commands without rotor speeds do not tell "
-        "from the motors' own gain."
+        f"commands. Possible causes: {' or '.join(gain.look_alikes)}; motor commands alone cannot separate them from "
+        "the motors' own gain."
     )
 
 
@@ -268,13 +268,13 @@ REMAINS = {
 
 
 def remains(leftover: Leftover) -> str:
-    """What a test of the residuals found, in words."""
+    """Finding of a residual test, in words."""
     line = "" if leftover.frequency is None else f" at {leftover.frequency:.2g} Hz"
     return f"{REMAINS.get(leftover.test, leftover.test)}{line}"
 
 
 def leftover_sentence(leftover: Leftover) -> str:
-    """What a test of the residuals found, in which channel and how large, without a full stop."""
+    """Finding of a residual test, its channel and its size, without a full stop."""
     return (
         f"{remains(leftover)}, in {channel_name(leftover.channel)} {leftover.rms:.2g} {leftover.unit} RMS or "
         f"{leftover.over_floor:.2g} times its floor"

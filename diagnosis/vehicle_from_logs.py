@@ -164,7 +164,7 @@ def _start(
 
 
 def _identified(flights: Sequence[Flight], start: Vehicle, progress: Progress) -> tuple[Identification | None, str]:
-    """What the flights show, or None and why they do not."""
+    """Vehicle's numbers by the flights, or None and the reason."""
     try:
         identified = identify_vehicle(flights, start, progress=progress)
     except DataError as error:

@@ -84,7 +84,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Identification:
-    """What flights show of a vehicle of a given mass.
+    """Numbers that flights show of a vehicle of a given mass.
 
     vehicle: with the values below; its torque constant and yaw inertia have the ratio that was found.
     thrust: of all rotors at full signal, N; with measured speeds and no signal, at the vehicle's speed_max.
@@ -426,7 +426,7 @@ def _extrapolation(vehicle: Vehicle, curve: Constant | None) -> float:
 
 
 def with_yaw_inertia(identified: Identification, yaw: float) -> Identification:
-    """The same with another yaw inertia, kg m^2, and the torque constant that goes with it."""
+    """Identification with another yaw inertia, kg m^2, and the torque constant that goes with it."""
     body = msgspec.structs.replace(identified.vehicle.body, inertia=(*identified.vehicle.body.inertia[:2], yaw))
     rotors = msgspec.structs.replace(identified.vehicle.rotors, torque_constant=identified.yaw_gain.value * yaw)
     return replace(identified, vehicle=msgspec.structs.replace(identified.vehicle, body=body, rotors=rotors))

@@ -153,7 +153,7 @@ def _declared_alike(one: Effect, other: Effect) -> bool:
 
 
 def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, taken: Collection[str]) -> list[str]:
-    """What the catalogue declares to have nearly the signal of a candidate, but for effects that are taken.
+    """Look-alikes of a candidate that the catalogue declares, but for effects that are taken.
 
     Of an inertia about one axis a torque constant may have the signal, of another one it has nothing: those that
     explain less than a share of it in its place are told apart.

@@ -1,4 +1,4 @@
-"""What a user should know of an effect before flying for it: formula, usual size, what shows it, what looks alike."""
+"""Card of an effect for who flies for it: formula, usual size, what shows it, what looks alike."""
 
 from __future__ import annotations
 

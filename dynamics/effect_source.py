@@ -94,7 +94,7 @@ def read_effect_file_below(folder: Path, name: str) -> EffectFile:
 
 
 def entries_of(table: Mapping[str, Any]) -> list[Any]:
-    """What a vehicle's table holds under `effect_files`: names, or tables with texts; empty where it is no list."""
+    """Entries of a vehicle's table under `effect_files`: names, or tables with texts; empty where it is no list."""
     entries = table.get(KEY, [])
     return entries if isinstance(entries, list) else []
 

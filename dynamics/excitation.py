@@ -1,4 +1,4 @@
-"""What a flight needs to show an effect: logged quantities, and motion of some size."""
+"""Excitation of an effect: the logged quantities and the motion that show it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ QUICK_TURNS = "quick rolls and pitches: Lemniscate, ExtendedLemniscate"
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a flight needs to show an effect of usual size above the sensors' noise.
+    """Excitation that shows an effect of usual size above the sensors' noise.
 
     channels: groups of logged quantities, of each group at least one.
     measure: the motion that shows it, one of MEASURES.

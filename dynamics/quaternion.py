@@ -104,7 +104,7 @@ def normalise(attitude: ArrayLike) -> Floats:
 
 
 def continuous(attitude: ArrayLike) -> Floats:
-    """The same attitudes with signs chosen so that neighbours never jump. attitude: (n, 4)."""
+    """Attitudes with signs chosen so that neighbours never jump. attitude: (n, 4)."""
     q = np.array(attitude, dtype=float)
     flips = np.sum(q[1:] * q[:-1], axis=-1) < 0
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips, -1.0, 1.0))])

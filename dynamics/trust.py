@@ -1,4 +1,4 @@
-"""What may run: the one place that runs a user's Python and loads a shared library, both by the content's hash.
+"""Approval of code: the one place that runs a user's Python and loads a shared library, both by the content's hash.
 
 Data never runs. Effects of a user's own are text (`dynamics.effect_source`) until the user has approved that content:
 for good (`alula trust FILE`), or for one call (`--effects FILE`, `effect_files=`). The bytes that run are those that
@@ -40,7 +40,7 @@ def approve_here(approved: Iterable[tuple[Kind, str]]) -> None:
 
 
 def approved_here() -> tuple[tuple[Kind, str], ...]:
-    """What is approved in this process, for processes that do part of its work."""
+    """Approvals of this process, for processes that do part of its work."""
     return tuple(sorted(_approved))
 
 
@@ -132,7 +132,7 @@ def _without_folders(folder: Path) -> Iterator[None]:
 
 
 def _shown(file: EffectFile, carrier: str | Path | None) -> Iterator[str]:
-    """What would run, for a terminal."""
+    """Code that would run, for a terminal."""
     if file.is_carried:
         where = f", whose text {printable(str(carrier))} carries," if carrier else ", whose text came with the data,"
     else:

@@ -221,10 +221,10 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.limits.thrust or (thrust_min, self.rotors.thrust_max)
 
     def with_effects(self, *uses: EffectUse) -> Vehicle:
-        """The same vehicle with further effects."""
+        """Vehicle with further effects."""
         return msgspec.structs.replace(self, effects=self.effects + uses)
 
     def with_effect_replaced(self, use: EffectUse) -> Vehicle:
-        """The same vehicle with an effect in place of what it had of the same name and rotor."""
+        """Vehicle with an effect in place of what it had of the same name and rotor."""
         others = tuple(own for own in self.effects if (own.name, own.rotor) != (use.name, use.rotor))
         return msgspec.structs.replace(self, effects=(*others, use))

@@ -146,7 +146,7 @@ def _change(document: Any, before: dict[str, Any], after: dict[str, Any]) -> Non
 
 
 def _change_list(tables: AoT, before: list[dict[str, Any]], after: list[dict[str, Any]]) -> None:
-    """The same for a list of tables: [[effects]], [[history]]."""
+    """Change a list of tables: [[effects]], [[history]]."""
     for place in reversed(range(len(after), len(before))):
         del tables[place]
     for place, value in enumerate(after):

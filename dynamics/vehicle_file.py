@@ -125,7 +125,7 @@ def effect_files_in(text: str) -> tuple[EffectFile, ...]:
 
 
 def effect_entries(text: str) -> list[Any]:
-    """What a vehicle file has under `effect_files`: names, and tables with texts; empty for a text that is no TOML."""
+    """Entries of a vehicle file under `effect_files`: names, tables with texts; empty for a text that is no TOML."""
     try:
         return entries_of(parse_toml(text))
     except tomllib.TOMLDecodeError:
@@ -356,7 +356,7 @@ def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:
 
 
 def without_empty(value: Any) -> Any:
-    """The same value without entries that are None, empty or unset, which TOML cannot or need not hold."""
+    """Value without entries that are None, empty or unset, which TOML cannot or need not hold."""
     if isinstance(value, dict):
         return {key: without_empty(item) for key, item in value.items() if item not in (None, "", [], (), {})}
     if isinstance(value, list | tuple):

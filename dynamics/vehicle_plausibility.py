@@ -91,7 +91,7 @@ def disc_loading(mass: float, rotors: Rotors) -> float:
 
 
 def _advice(mass: float, rotors: Rotors, loading: float) -> str:
-    """What to check, and which other unit would explain the number."""
+    """Advice on what to check, and on the other unit that would explain the number."""
     low, high = USUAL_LOADING
     for unit, factor in UNITS_OF_MASS.items():
         if low <= loading * factor <= high:

@@ -166,13 +166,13 @@ def _swept_weights(network: Network, split: ReverseSplit) -> Iterator[str]:
 
 
 def _pad(values: Floats) -> Floats:
-    """The same with its last axis filled up with zeros."""
+    """Values with the last axis filled up with zeros."""
     room = padded(values.shape[-1]) - values.shape[-1]
     return np.asarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, room)]))
 
 
 def _pad_both(values: Floats) -> Floats:
-    """The same with rows of zeros below as well."""
+    """Values with the last axis filled up with zeros, and rows of zeros below."""
     return np.asarray(np.pad(_pad(values), [(0, padded(len(values)) - len(values)), (0, 0)]))
 
 

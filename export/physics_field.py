@@ -61,7 +61,7 @@ def _rate_function(model: ExportedModel) -> ca.Function:
 
 
 def _with_derivatives(function: ca.Function) -> ca.Function:
-    """The same, with the derivatives of its output by each input behind it."""
+    """Function with the derivatives of its output by each input behind it."""
     inputs = [ca.SX.sym(function.name_in(i), function.size1_in(i)) for i in range(function.n_in())]
     output = function(*inputs)
     derivatives = [ca.densify(ca.jacobian(output, argument)) for argument in inputs]

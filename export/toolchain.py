@@ -28,7 +28,7 @@ TIMEOUT = 300.0  # s, of pip
 
 @dataclass(frozen=True)
 class Toolchain:
-    """What kernels are compiled and linked with."""
+    """Compiler and linker of kernels."""
 
     compiler: str
     hpipm: HpipmBuild

@@ -181,7 +181,7 @@ class _Side:
         return self.answer - self.columns @ _solve(self.columns, self.answer)
 
     def whitened(self, ends: NDArray[np.intp]) -> _Side:
-        """The same after a filter that makes the residual white."""
+        """Side after a filter that makes the residual white."""
         whitening = _prediction_error(self.residual)
 
         def white(values: Floats) -> Floats:

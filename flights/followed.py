@@ -1,4 +1,4 @@
-"""What a model followed in flight, from a recording: a disturbance and named parameters over time, with deviations."""
+"""Parameters that a model followed in flight, from a recording: values over time, with deviations."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class FollowedValue(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FollowedFlight:
-    """What a model followed in a flight. k: parameters.
+    """Parameters that a model followed in a flight. k: parameters.
 
     path: of the recording. sha256: of the file.
     vehicle: text of the vehicle file that flew.
@@ -140,7 +140,7 @@ class FollowedFlight:
 
 
 def read_followed(path: str | Path) -> FollowedFlight | None:
-    """What the model of a recording followed; None for a log of another kind, or a flight whose model did not follow.
+    """Followed parameters of a recording; None for a log of another kind, or a flight whose model did not follow.
 
     Read up to where a recording is cut off. Raises RequestError for a file that cannot be read.
     """
@@ -157,7 +157,7 @@ def read_followed(path: str | Path) -> FollowedFlight | None:
 
 
 def require_followed(path: str | Path) -> FollowedFlight:
-    """The same. Raises DataError, too, for a log whose model did not follow."""
+    """Followed parameters of a recording. Raises DataError, too, for a log whose model did not follow."""
     followed = read_followed(path)
     if followed is None:
         raise DataError(
@@ -169,7 +169,7 @@ def require_followed(path: str | Path) -> FollowedFlight:
 
 @dataclass
 class _Content:
-    """What of a recording belongs to what was followed. start: of the first tick, s of the daemon's clock."""
+    """Messages of a recording about followed parameters. start: of the first tick, s of the daemon's clock."""
 
     rows: list[_Followed]
     phases: list[_Timed]

@@ -133,7 +133,7 @@ class Provenance:
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What of the file is lost: cut off, torn or damaged."""
+        """Losses of the file: cut off, torn or damaged."""
         return tuple(repair.detail for repair in self.repairs if repair.name in DAMAGE)
 
 
@@ -171,5 +171,5 @@ class Log:
 
 
 def spanning_streams(streams: Sequence[Stream]) -> list[Stream]:
-    """Those whose time is the flight's: of motion and rotors, or all where there are none."""
+    """Streams whose time is the flight's: of motion and rotors, or all where there are none."""
     return [stream for stream in streams if stream.name in PRIMARY] or list(streams)

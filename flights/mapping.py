@@ -112,7 +112,7 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             )
         units = _KIND_OF_UNIT[quantity.unit]
         if self.unit and self.unit not in units:
-            raise RequestError(f"{self.quantity}: unit {self.unit!r} is none of {', '.join(units)}.")
+            raise RequestError(f"{self.quantity}: unknown unit {self.unit!r}; expected {_one_of(units)}.")
         if isinstance(self.scale, tuple) and len(self.scale) != len(self.columns):
             raise RequestError(f"{self.quantity}: give one scale, or one a column.")
 
@@ -140,6 +140,12 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def columns(self) -> tuple[str, ...]:
         """Every column that it needs."""
         return (self.time.column, *(column for stream in self.streams for column in stream.columns))
+
+
+def _one_of(names: tuple[str, ...]) -> str:
+    """Names as a choice: "m, mm or cm"."""
+    *first, last = names
+    return f"{', '.join(first)} or {last}" if first else last
 
 
 def read_mapping(path: Path) -> Mapping:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
@@ -66,7 +67,7 @@ def _in_processes(
         for place in (yield from _in_pool(function, items, waiting, count)):
             if killed is None:
                 raise VehicleError(
-                    "a working process ended by itself, killed or out of memory. Run the same command again with fewer "
+                    "a worker process died, killed or out of memory. Run the same command again with fewer "
                     "--jobs; what was finished is kept."
                 )
             if (yield from _in_pool(function, items, deque([place]), 1)):
@@ -89,7 +90,7 @@ def _in_pool(
             while waiting and len(running) < count:  # no more at once, so that few are suspected when one is killed
                 place = waiting.popleft()
                 try:
-                    with _holding_interrupts():  # which a process that is starting would print a traceback of
+                    with holding_interrupts():
                         submitted = pool.submit(function, items[place])
                     running[submitted] = place
                 except BrokenProcessPool:
@@ -113,13 +114,26 @@ def _in_pool(
 
 
 @contextmanager
-def _holding_interrupts() -> Iterator[None]:
-    """Hold interrupts back, in this thread and in the processes that it starts."""
+def holding_interrupts() -> Iterator[None]:
+    """Hold interrupts back, here and in the processes that are started meanwhile: a terminal interrupts them all.
+
+    A process that is starting would print a traceback, and whoever starts it would lose it between start and record.
+    The mask goes on to the process; here another thread may still receive the signal, so that it is noted.
+    """
+    resource_tracker.ensure_running()  # which lets interrupts through when it starts
+    handler, noted = signal.getsignal(signal.SIGINT), threading.Event()
+    handles = threading.current_thread() is threading.main_thread() and callable(handler)
+    if handles:
+        signal.signal(signal.SIGINT, lambda *_: noted.set())
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if handles:
+            signal.signal(signal.SIGINT, handler)
+    if noted.is_set():
+        signal.raise_signal(signal.SIGINT)
 
 
 def _begin(started: Event, approved: Approved, system: int | None) -> None:

@@ -95,7 +95,7 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
 
 
 def check_flight(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction, ...]:
-    """The same of a flight's columns while it flies. free: its segments of free flight."""
+    """Contradictions of a flight's columns while it flies. free: its segments of free flight."""
     flying = np.zeros(len(flight), dtype=bool)
     for part in free:
         flying |= (flight.time >= part.time[0]) & (flight.time <= part.time[-1])

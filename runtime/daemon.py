@@ -374,7 +374,7 @@ class Daemon:
         self._service.stopping()
 
     def _left_behind(self, status: VehicleStatus) -> str:
-        """What becomes of a vehicle that the flight leaves armed, in brackets; empty for a disarmed one."""
+        """Suffix: state of a vehicle left armed, in brackets; empty for a disarmed one."""
         silence = time.monotonic() - status.last_heard
         if silence > LinkSettings().silence:
             state = f"{'armed' if status.armed else 'disarmed'} in {status.mode}"

@@ -1,4 +1,4 @@
-"""What a flight's model follows, as a recording has it."""
+"""Followed parameters of a flight, as a recording has them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from runtime.record.records import FollowedRecord
 
 
 def followed_record(flyer: Flyer, now: float) -> FollowedRecord | None:
-    """What the flying controller's model follows at a time, s; None where it does not follow."""
+    """Parameters that the flying controller's model follows at a time, s; None where it does not follow."""
     if flyer.adaptation is None:
         return None
     filtered, named = flyer.adaptation.filter, flyer.followed

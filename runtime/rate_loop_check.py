@@ -62,7 +62,7 @@ def oscillation_problem(controller: Controller, vehicle: Vehicle, gains: Autopil
 
 
 def _advice(controller: Controller, hover: HoverModel, vehicle: Vehicle, gains: AutopilotSettings) -> str:
-    """What would damp it, as far as it is one of the two that a user can turn."""
+    """Advice that damps the loop, as far as it is one of the two that a user can turn."""
     for factor in SLOWER_GAINS:
         roll, pitch, yaw = gains.rate_gain
         slower = msgspec.structs.replace(gains, rate_gain=(factor * roll, factor * pitch, yaw))

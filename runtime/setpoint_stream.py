@@ -21,7 +21,7 @@ ZERO: Rates = (0.0, 0.0, 0.0)
 
 
 class SetpointLink(Protocol):
-    """What the stream needs of a link."""
+    """Interface of a link that the stream needs."""
 
     def send_rate_setpoint(self, rate_body: Rates, thrust: float) -> bool:
         """Send SET_ATTITUDE_TARGET with body rates, FLU, rad/s, and thrust, 0..1; for one thread only."""

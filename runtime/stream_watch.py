@@ -17,7 +17,7 @@ LOST = 0.7  # s, after which the autopilot is asked to land: its failsafe acts C
 
 
 class Streaming(Protocol):
-    """What is watched of a control thread."""
+    """Interface of a control thread that is watched."""
 
     stream: SetpointStream
 

@@ -55,7 +55,7 @@ LOW_CHARGE = 0.1  # remaining charge, 0..1, below which BATTERY_LOW is raised
 
 
 class LinkUpdate(msgspec.Struct, frozen=True):
-    """What the link received since the last tick.
+    """Messages since the last tick.
 
     events: with their details.
     reset: whether an estimator was reset, which moved its frame.
@@ -99,7 +99,7 @@ class TelemetryBuffer:
 
     @property
     def callbacks(self) -> LinkCallbacks:
-        """What the link calls."""
+        """Callbacks for the link."""
         return LinkCallbacks(frame=self.frame, reset=self.reset, reaction=self.reaction, event=self.event)
 
     def frame(self, direction: Direction, time: float, data: bytes) -> None:
@@ -135,7 +135,7 @@ class TelemetryBuffer:
         return arrival_rate(times, now) if len(times) >= MIN_ARRIVALS else 0.0
 
     def take(self) -> LinkUpdate:
-        """What was received since the last call."""
+        """Messages received since the last call."""
         events: dict[Event, str] = {}
         while self._events:
             event = self._events.popleft()

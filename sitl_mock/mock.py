@@ -38,7 +38,7 @@ PX4_SIMULATED = ("px4_sih",)  # names of vehicles that fly in PX4's own simulati
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a vehicle flies with where neither options nor scenario say so."""
+    """Surroundings of a vehicle where neither options nor scenario say so."""
 
     estimator: Estimator
     ground: GroundKind
@@ -148,7 +148,7 @@ def _tuned(vehicle: Vehicle, other: Path | None) -> Vehicle:
 
 
 def usual_surroundings(vehicle: Vehicle) -> Surroundings:
-    """What suits a vehicle: PX4's own simulation for its quadrotor, a real vehicle in motion capture for all others."""
+    """Surroundings that suit a vehicle: PX4's own simulation for its quadrotor, motion capture for all others."""
     return IN_PX4S_SIMULATION if vehicle.name in PX4_SIMULATED else IN_MOTION_CAPTURE
 
 

@@ -1,1 +1,1 @@
-"""What reproduces the paper and compares models: the demo, evaluations, sweeps, their tables and figures."""
+"""Studies that reproduce the paper and compare models: the demo, evaluations, sweeps, their tables and figures."""

@@ -1,1 +1,1 @@
-"""What people look at: the pages of reports, and the studio, a local application in the browser."""
+"""Pages for people: reports, and the studio, a local application in the browser."""

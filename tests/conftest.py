@@ -1,5 +1,6 @@
 """What every test may use."""
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,6 +25,12 @@ LONG = (
     "studio/app/test_journey.py", "studio/work/test_steps.py", "docs/test_commands_of_pages.py",
     "diagnosis/verdicts/test_real_statements.py", "diagnosis/verdicts/test_sets_of_many.py",
 )  # fmt: skip
+
+
+def pytest_configure() -> None:
+    """Take signals as a terminal leaves them: what a shell ignores for a job in the background, children ignore too."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

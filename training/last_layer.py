@@ -1,4 +1,4 @@
-"""What a network's last layer was trained on: the second moment of its inputs, where an update in flight begins.
+"""Moments of a network's last layer in training: the second moment of its inputs, where an update in flight begins.
 
 With inputs h of the last layer and phi = (h, 1), weights of one output have from m rows with noise of variance s^2 the
 covariance s^2 / m M^-1, M = mean of phi phi' (Bishop, Pattern Recognition and Machine Learning, 2006, eq. 3.51): in

@@ -42,7 +42,7 @@ class StepRule:
             optimiser.zero_grad()
 
     def state(self) -> list[dict[str, Any]]:
-        """What `restore` takes."""
+        """State that `restore` takes."""
         return [optimiser.state_dict() for optimiser, _ in self._parts]
 
     def restore(self, state: list[dict[str, Any]]) -> None:

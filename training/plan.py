@@ -51,7 +51,7 @@ class Plan:
     fingerprint: str
 
     def task(self, member: int, seed: int, *, device: torch.device, state_file: Path | None) -> Task:
-        """What one member learns from. Raises DataError when no segment is long enough for its roll-outs."""
+        """Task of one member. Raises DataError when no segment is long enough for its roll-outs."""
         training = Tensors.of(self.training, self.scaling, self.config.history, device)
         collocation = (
             None if self.collocation is None else CollocationTensors.of(self.collocation, self.scaling, device)

@@ -85,7 +85,7 @@ def member_outputs(model: TrainedModel, data: LabelledRows, *, member: int | Non
 
 
 def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> Reliability | None:
-    """What an ensemble's disagreement means, from flights that no member was trained on; None for one member.
+    """Reliability of an ensemble's disagreement, from flights that no member was trained on; None for one member.
 
     outputs: (members, m, 6). targets: (m, 6) correct outputs.
     """

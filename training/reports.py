@@ -8,12 +8,12 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing.managers import SyncManager
 
 import msgspec
 
-from flights.parallel import end_with_parent
+from flights.parallel import end_with_parent, holding_interrupts
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -44,18 +44,20 @@ Progress = Callable[[Report], None]
 def progress_channel(progress: Progress) -> Iterator[Progress]:
     """A function that other processes call with their reports: each one reaches `progress` in this process."""
     manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
-    manager.start(end_with_parent)
-    reports = manager.Queue()
+    with ExitStack() as stack:
+        with holding_interrupts():
+            manager.start(end_with_parent)
+            stack.callback(manager.shutdown)
+        reports = manager.Queue()
 
-    def forward() -> None:
-        while (report := reports.get()) is not None:
-            progress(report)
+        def forward() -> None:
+            while (report := reports.get()) is not None:
+                progress(report)
 
-    thread = threading.Thread(target=forward, name="training progress", daemon=True)
-    thread.start()
-    try:
-        yield reports.put
-    finally:
-        reports.put(None)
-        thread.join()
-        manager.shutdown()
+        thread = threading.Thread(target=forward, name="training progress", daemon=True)
+        thread.start()
+        try:
+            yield reports.put
+        finally:
+            reports.put(None)
+            thread.join()

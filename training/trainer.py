@@ -33,7 +33,7 @@ EVALUATION_BATCH = 8192  # windows
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What one member learns from.
+    """Training task of one member.
 
     config, recipe: the model's and the training's definition.
     training, validation: standardised flights.

@@ -1,4 +1,4 @@
-"""What the functions of `alula.api` return: each holds the report that the command of its name writes as JSON."""
+"""Results of the functions of `alula.api`: each holds the report that the command of its name writes as JSON."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class FleetResult:
 
     @property
     def sentences(self) -> Sequence[str]:
-        """What the fleet shows, a sentence a line."""
+        """Findings about the fleet, a sentence a line."""
         from studies.fleet.words import sentences
 
         return sentences(self.report)
@@ -178,7 +178,7 @@ class IdentificationFlight:
 
     @property
     def text(self) -> str:
-        """What was planned, three lines for a terminal."""
+        """Planned flight, three lines for a terminal."""
         import numpy as np
 
         from dynamics.state import POSITION, VELOCITY

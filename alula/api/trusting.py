@@ -56,7 +56,7 @@ def trust(files: str | Path | Sequence[str | Path]) -> tuple[Trusted, ...]:
 
 
 def code_in(path: Path) -> list[Trusted]:
-    """What of a file or folder may run once it is approved. Nothing runs here. Raises RequestError as `trust`."""
+    """Code of a file or folder that may run once it is approved. Nothing runs here. Raises RequestError as `trust`."""
     from dynamics.effect_source import ENDING, read_effect_file
 
     if path.is_dir():

@@ -159,7 +159,7 @@ def _flying(vehicle: str, reference: object, effects: list[Path] | None) -> list
 def _following(
     result: DiagnosisResult, logs: list[Path], vehicle: str, shared: Sequence[tuple[str, Any]]
 ) -> list[object]:
-    """What to run next: add what a vehicle file can hold, fly for what is open, look where nothing fits."""
+    """Next command: add what a vehicle file can hold, fly for what is open, look where nothing fits."""
     catalogue, report = result.details.regression.catalogue, result.report
     own_effects = next(value for name, value in shared if name == "--effects")
     if report.verdict == "ambiguous" and report.next_reference:

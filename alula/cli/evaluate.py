@@ -78,7 +78,7 @@ def evaluate(
 def _following(
     models: Sequence[Path], logs: Sequence[Path], vehicle: str | None, of_nominal: Sequence[float]
 ) -> list[object]:
-    """What to run next: export the first model that errs less than the nominal one, or train one.
+    """Next command: export the first model that errs less than the nominal one, or train one.
 
     of_nominal: RMSE of each model over that of the nominal model.
     """

@@ -74,8 +74,8 @@ def fly(
     network: Annotated[
         Literal["off", "shadow", "on"] | None,
         typer.Option(
-            help="With --adapt: let the last layer of a learned model follow, too; shadow estimates the change only, "
-            "and is what a --bundle that can does by default."
+            help="With --adapt: let the last layer of a learned model follow, too; shadow estimates the change only "
+            "(default for bundles that support it)."
         ),
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
@@ -154,10 +154,10 @@ def fly(
 
 
 def _for(reference: str, effects: str) -> str:
-    """The reference with the effects that it is to show. Raises RequestError where it is none that is planned."""
+    """The reference with the effects that it is to show. Raises RequestError unless the reference is `identify`."""
     if not is_identification(reference):
         raise RequestError(
-            f"--for {effects} belongs to --reference identify, not {reference}: that manoeuvre is what it is."
+            f"--for {effects} belongs to --reference identify: manoeuvre {reference} cannot be planned for effects."
         )
     words = "+".join(filter(None, effects.replace(",", "+").split("+")))
     return f"{reference}{',' if ':' in reference else ':'}for={words}"
@@ -166,7 +166,7 @@ def _for(reference: str, effects: str) -> str:
 def _following(
     report: FlightReport, vehicle: str | None, bundle: Path | None, record: Path | None, flown: list[object]
 ) -> list[object]:
-    """What to run next: diagnose the recording, or fly once more and record."""
+    """Next command: diagnose the recording, or fly once more and record."""
     if record is not None and report.recording:
         return ["diagnose", report.recording, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
     again = options(

@@ -1,4 +1,4 @@
-"""What a command makes of folders of logs: files that are none are skipped, a vehicle file beside the logs is used."""
+"""Folders of logs as a command reads them: files that are none are skipped, a vehicle file beside the logs is used."""
 
 from __future__ import annotations
 

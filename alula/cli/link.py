@@ -110,7 +110,7 @@ def _set_up(key: Path, present: Path | None, endpoint: Endpoint, timeout: float,
 def _following(
     report: LinkReport, link: str, vehicle: str | None, bundle: Path | None, signing_key: Path | None
 ) -> list[object]:
-    """What to run next: fly, check again when the reasons are gone, or make a vehicle file."""
+    """Next command: fly, check again when the reasons are gone, or make a vehicle file."""
     flown = options([("--vehicle", vehicle), ("--bundle", bundle)])
     key = options([("--signing-key", signing_key)])
     if not report.is_ready:

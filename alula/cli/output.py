@@ -1,4 +1,4 @@
-"""What a command prints: quietly, with more detail, into a file as well; and the command to run next.
+"""Output of a command: quietly, with more detail, into a file as well; and the command to run next.
 
 -v, -q and --log-file stand before or behind the command's name. Imports nothing but the standard library.
 """

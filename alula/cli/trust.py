@@ -43,7 +43,7 @@ def trust(
 
 
 def _print(trusted: Trusted) -> None:
-    """What was approved; a text without a file of its own whole, since nothing else shows it."""
+    """Print an approval; a text without a file of its own whole, since nothing else shows it."""
     held = "" if trusted.carrier is None else f", held by {printable(str(trusted.carrier))}"
     print(f"{trusted.kind} {printable(trusted.name)}{held}\n  sha256 {trusted.sha256}")
     if trusted.carrier is not None:

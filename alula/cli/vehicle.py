@@ -202,7 +202,7 @@ def quantity(text: str, name: str) -> float:
 
 
 def _answered(answers: Mapping[str, str | None]) -> dict[str, str]:
-    """What was given, and answers to questions for the rest. Raises RequestError where nobody can be asked."""
+    """Options, and answers to questions for those missing. Raises RequestError where nobody can be asked."""
     missing = [f"--{name}" for name, text in answers.items() if text is None]
     if missing and not sys.stdin.isatty():
         raise RequestError(f"{', '.join(missing)} missing: give them, or run this in a terminal, which asks for them.")

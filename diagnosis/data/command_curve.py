@@ -82,7 +82,7 @@ class CommandCurve:
         return float(np.mean([gain.mean for gain in self.gains.values()]))
 
     def note(self, ratio: float = 1.0, std: float | None = None) -> str:
-        """What the user should know of it. ratio: on all gains, from a fit beside the effects; std: of that."""
+        """Note for the user. ratio: on all gains, from a fit beside the effects; std: of that."""
         means = [ratio * gain.mean for gain in self.gains.values()]
         motors = np.mean([gain.motors for gain in self.gains.values()], axis=0)
         gain = f"{min(means):.2f}" + (f" to {max(means):.2f}" if len(means) > 1 else "")

@@ -298,14 +298,14 @@ def _timed_groups(parts: Sequence[Segment], thresholds: DatasetThresholds) -> li
 
 
 def _enough_groups(groups: list[list[Segment]], thresholds: DatasetThresholds) -> list[list[Segment]]:
-    """The same with the longest groups cut in two until leaving one out is possible, or all are too short for it."""
+    """Groups with the longest cut in two until leaving one out is possible, or all are too short for it."""
     while len(groups) < thresholds.min_groups and (cut := _halved(groups, thresholds.min_part)) is not None:
         groups = cut
     return groups
 
 
 def _halved(groups: list[list[Segment]], min_part: float) -> list[list[Segment]] | None:
-    """The same with the longest group cut in two, None when all are too short for it. min_part: s."""
+    """Groups with the longest one cut in two, None when all are too short for it. min_part: s."""
     longest = max(range(len(groups)), key=lambda i: max(len(s) for s in groups[i]))
     group = groups[longest]
     if len(group) > 1:

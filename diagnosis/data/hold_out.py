@@ -66,7 +66,7 @@ def held_out_blocks(
 def divided(
     flights: Sequence[Sequence[Segment]], blocks: Sequence[Block], min_duration: float
 ) -> tuple[list[list[Segment]], list[Segment]]:
-    """What remains of each flight's segments, and the blocks. min_duration: of what remains, s."""
+    """Remaining segments of each flight, and the blocks. min_duration: of a remaining segment, s."""
     fitted, held_out = [], []
     for number, parts in enumerate(flights):
         rest = []

@@ -1,4 +1,4 @@
-"""What inspection knows of the flights, before anything is fitted: doubted speed sensors, channels that stand still."""
+"""Findings of inspection about the flights, before anything is fitted: doubted speed sensors, frozen channels."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _doubt(wrong: UnevenRotor, vehicle: Vehicle) -> str:
 
 
 def doubt_note(flights: Sequence[Flight], used: Sequence[Flight], findings: Sequence[Finding]) -> list[str]:
-    """What the user should know if measured speeds were left out."""
+    """Notes for the user where measured speeds were left out."""
     if all(one is other for one, other in zip(flights, used, strict=True)):
         return []
     reason = next(finding.text for finding in findings if finding.name == "rotor_speed_fault")
@@ -101,7 +101,7 @@ def _battery_findings(parts: Sequence[Flight], thresholds: Thresholds) -> list[F
         Finding(
             "warning",
             "battery_unmeasured",
-            f"the battery voltage, {lowest:.2f} V at least, is none that a battery has in flight: it is not used",
+            f"the battery voltage, {lowest:.2f} V at least, is not a plausible pack voltage in flight: ignored",
             "check its sensor, its unit (V) and its scale",
         )
     ]

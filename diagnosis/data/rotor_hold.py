@@ -46,7 +46,7 @@ class RotorHold:
         return replace(segment, rotor_share=self.share)
 
     def note(self) -> str:
-        """What the user should know of it."""
+        """Note for the user."""
         late = 1e3 * (self.share - 0.5) * self.period
         return (
             f"rotor speeds are read as held or settling between rows: the mean between two rows is {self.share:.2f} "

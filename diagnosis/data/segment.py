@@ -223,7 +223,7 @@ def fast(flight: Flight, quantity: str, thresholds: SegmentThresholds = DEFAULT.
 
 
 def slow_quantities(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> list[str]:
-    """What was logged of motion, but too slowly to be used."""
+    """Quantities of motion that were logged too slowly to be used."""
     return [
         f"{name} at {flight.origins[name].rate:.0f} Hz"
         for name in ("attitude", "velocity", "rate", "specific_force")

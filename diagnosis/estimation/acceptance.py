@@ -75,7 +75,7 @@ def fit_that_keeps(
     *,
     refused: Sequence[Refused] = (),
 ) -> Accepted | None:
-    """The same where it keeps the needed ones, of these keys; None as soon as one of them fails.
+    """Accepted set that keeps the needed effects, of these keys; None as soon as one of them fails.
 
     Most trials of rivals end so, and after that no fit of what remains says more.
     """
@@ -174,7 +174,7 @@ class _Trial:
         return self._fits[keys]
 
     def _relevance(self, best: Fit) -> tuple[dict[str, dict[str, ErrorChange]], Floats]:
-        """What each effect does to the errors, by key and kind of channel, and the held-out floor (12,)."""
+        """Change of the errors by each effect, by key and kind of channel, and the held-out floor (12,)."""
         floor = self._held_out.floor(best.vehicle)
         return {c.key: self._error_changes(best, c, floor) for c in best.candidates}, floor
 
@@ -197,7 +197,7 @@ class _Trial:
         fewer: Vehicle,
         values: Mapping[tuple[str, str], float],
     ) -> dict[str, ErrorChange]:
-        """The same on certain flights. fewer: the vehicle without it, to first order; values: of the others then."""
+        """Changes of errors on certain flights. fewer: the vehicle without it, to first order; values: the others'."""
         thresholds = self._regression.thresholds.acceptance
         by_kind = judge.channel_changes(fewer, best.vehicle, floor)
         if self._limits.min_rise <= _strength(by_kind) < thresholds.max_linear_rise:
@@ -380,7 +380,7 @@ def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
 
 
 def with_nuisances_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
-    """The same with what lies between command and thrust as in the fit, too.
+    """Vehicle with the effects between command and thrust as in the fit.
 
     A gain that moves within its own deviation, as it does beside any effect, moves the open loop by that much: what
     rises against this vehicle as well is the effects' doing.

@@ -40,18 +40,18 @@ def accepted_fit(
         own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
         accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
     accepted = _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
-    accepted = _with_rivals_that_need_less(regression, accepted, dataset, lacking)
+    accepted = _replace_by_sparser_rivals(regression, accepted, dataset, lacking)
     if not regression.pose.there:  # an estimator's errors are as slow
         in_gust = selection.gust_variance > 0
         accepted = with_exchanges(regression, accepted, dataset, lacking, in_gust=in_gust)
-    accepted = _with_rivals_of_what_is_sure(regression, accepted, dataset, lacking)
-    return _with_damage_before_sensors(regression, accepted, dataset, lacking)
+    accepted = _replace_partly_significant(regression, accepted, dataset, lacking)
+    return _prefer_rotor_damage_over_sensor_fault(regression, accepted, dataset, lacking)
 
 
 def _with_rivals_of_refused(
     regression: Regression, accepted: Accepted, chosen: Sequence[Candidate], dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
-    """The same with a near rival in place of each selected effect that made a kind of channel worse, where it holds.
+    """Accepted set with a near rival in place of each effect that made a kind of channel worse, where it holds.
 
     A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone. They
     are tried first with all that was selected: what was refused after it may have failed for its sake.
@@ -75,7 +75,7 @@ def _with_rivals_of_refused(
 def _rivals_of_sure_part(
     regression: Regression, accepted: Accepted, candidate: Candidate, vehicle: Vehicle
 ) -> Iterator[tuple[Sequence[Candidate], Candidate]]:
-    """What explains as much as the sure part of a candidate beside the accepted effects, if anything does."""
+    """Candidates that explain as much as the sure part of a candidate beside the accepted effects, if any does."""
     search, others = Search(regression), accepted.fit.candidates
     lacking = fit(regression, (), vehicle=vehicle).vehicle
     fitted = beyond_feedback(regression, fit(regression, [*others, candidate], vehicle=lacking), lacking)
@@ -106,7 +106,7 @@ def _with_judged_again(
     dataset: Dataset,
     vehicle: Vehicle,
 ) -> Accepted:
-    """The same with what was refused after a candidate that a rival has replaced, where it holds beside the rival.
+    """Accepted set, refused effects judged again beside the rival that has replaced a candidate, where they hold.
 
     While neither was in the model its error was open, beside which chance makes a kind of channel worse.
     """
@@ -122,10 +122,10 @@ def _with_judged_again(
     return accepted if trial is None or len(trial.fit.keys) == len(accepted.fit.keys) else trial
 
 
-def _with_rivals_that_need_less(
+def _replace_by_sparser_rivals(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
-    """The same with near rivals in place of effects where the full model fits better, or as well with fewer others.
+    """Accepted set with rivals in place of effects where the full model fits better, or as well with fewer others.
 
     A thrust constant acts on force and moments, a mass on the force alone: the one beside the inertia that undoes its
     moments is the other. Turbulence lets the fit of an inertia gain more than further coefficients cost, so that what
@@ -179,10 +179,10 @@ def _fitted_rivals(
                 yield sure, candidates
 
 
-def _with_rivals_of_what_is_sure(
+def _replace_partly_significant(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
-    """The same with what explains as much in place of an effect of which only a part is sure.
+    """Accepted set, partly significant effects replaced by rivals that explain as much.
 
     An inertia about yaw is a torque constant, and what turbulence adds about roll and pitch is no reason against it.
     """
@@ -199,10 +199,10 @@ def _with_rivals_of_what_is_sure(
     return accepted
 
 
-def _with_damage_before_sensors(
+def _prefer_rotor_damage_over_sensor_fault(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle
 ) -> Accepted:
-    """The same with a rotor that lost thrust in place of its speed sensor, where these flights cannot tell which.
+    """Accepted set with rotor damage in place of a speed sensor's fault, where these flights cannot tell which.
 
     Propellers break, and a count of revolutions does not err by a few percent; whoever changes the sensor flies the
     broken propeller again. Sensors that read too low are told apart: no rotor gains thrust.

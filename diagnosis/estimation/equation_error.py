@@ -400,7 +400,7 @@ class _EquationErrorProblem:
     def _errors_at(
         self, place: int, linear: Sequence[Floats], changed: Mapping[str, float], starts: NDArray[np.intp]
     ) -> tuple[Floats, Floats]:
-        """What noise of the sensors' level adds to Z'X and Z'y of a segment's blocks: (b, k, k) and (b, k).
+        """Errors-in-variables terms of Z'X and Z'y of a segment's blocks, by the sensors' level: (b, k, k) and (b, k).
 
         They are computed once, since they change by as little as the columns do from step to step; of residuals at
         other values noise is less what it is of the columns.

@@ -91,7 +91,7 @@ def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:
 
 
 def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
-    """The same of a typical window (geometric mean over windows), which a few chaotic seconds do not dominate.
+    """Reduced chi-square of a typical window (geometric mean), which a few chaotic seconds do not dominate.
 
     Of the channels that tell of the model: an estimator's attitude is made from the gyro, which it differs from anyway.
     """

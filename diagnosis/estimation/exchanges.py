@@ -25,7 +25,7 @@ from dynamics.vehicle import Vehicle
 def with_exchanges(
     regression: Regression, accepted: Accepted, dataset: Dataset, vehicle: Vehicle, *, in_gust: bool = False
 ) -> Accepted:
-    """The same with effects exchanged where slow motion leaves clearly less of another set, once it has been judged.
+    """Accepted set after exchanges of effects, where slow motion leaves clearly less of another set that is judged.
 
     What is sought is the set of which slow motion leaves least, with more effects than held-out flights bear out: what
     stands in for a small one is no exchange for its sake. Where slow motion refutes that set, too, something else is
@@ -85,7 +85,7 @@ class _Walk:
             fitted = best
 
     def _alike(self, present: Sequence[Candidate]) -> list[Set]:
-        """The same with one effect in place of another that is declared alike, one of which scales the rotors."""
+        """Sets with one effect in place of another that is declared alike, one of which scales the rotors."""
         sets = list[Set]()
         for candidate in present:
             others = [c for c in present if c is not candidate]
@@ -152,6 +152,6 @@ def _search_about(regression: Regression, fitted: Fit) -> Search | None:
 
 
 def _of(regression: Regression, candidates: Sequence[Candidate]) -> Set:
-    """The same candidates of another regression."""
+    """Candidates of another regression, of the keys of these."""
     by_columns = {c.columns: c for c in regression.candidates}
     return tuple(by_columns[c.columns] for c in candidates)

@@ -32,7 +32,7 @@ class BlockRows:
     error_product: Floats
 
     def flat(self) -> tuple[Floats, Floats, Floats]:
-        """The same with time and channels in one: (m c,), (m c, k), (m c, k)."""
+        """Rows with time and channels in one axis: (m c,), (m c, k), (m c, k)."""
         width = self.x.shape[2]
         return self.y.ravel(), self.x.reshape(-1, width), self.z.reshape(-1, width)
 
@@ -114,7 +114,7 @@ def by_block(left: Floats, right: Floats, starts: NDArray[np.intp]) -> Floats:
 
 
 def explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:
-    """What the biases of a flight gain in twice the log-likelihood. gram, product: of parameters and biases."""
+    """Gain of the biases of a flight in twice the log-likelihood. gram, product: of parameters and biases."""
     places = list(biases.columns)
     inner = gram[np.ix_(places, places)] + np.diag(biases.information)
     return float(product[places] @ np.linalg.solve(inner, product[places]))

@@ -40,7 +40,7 @@ class Step:
 
 
 class Problem(Protocol):
-    """What is settled."""
+    """A least-squares problem with instruments."""
 
     @property
     def thresholds(self) -> EquationErrorThresholds:
@@ -61,7 +61,7 @@ class Problem(Protocol):
 
 
 def settle_from_afar(problem: Problem, start: Floats, *, hopeless: float = np.inf, goal: float = np.inf) -> Settled:
-    """The same as `settle`, where its way is not straight also from where damped steps lead, whichever fits better.
+    """Gauss-Newton (`settle`), begun again from damped steps where its way is not straight; the better of both.
 
     Columns about a vehicle that lacks much may begin the fit far off, from where Gauss-Newton's steps end at a bound or
     run out: an inertia divides the moments, and one step makes it a fifth or five times as large. hopeless: cost above
@@ -121,7 +121,7 @@ def settle(problem: Problem, start: Floats, goal: float = np.inf) -> Settled:
     fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum. goal: cost that it
     must reach to count; it ends where two steps in a row take too little off what is above that.
     """
-    thresholds, values, is_straight, idle = problem.thresholds, start, True, 0
+    thresholds, values, is_straight, stalled = problem.thresholds, start, True, 0
     here = problem.step(values)
     change = here.change
     for _ in range(thresholds.max_steps):
@@ -133,12 +133,12 @@ def settle(problem: Problem, start: Floats, goal: float = np.inf) -> Settled:
         if grown and not (np.isfinite(there.cost) and there.deviations < here.deviations):
             change, is_straight = change / 2, False
             continue
-        idle = idle + 1 if here.cost - there.cost < thresholds.min_approach * (there.cost - goal) else 0
+        stalled = stalled + 1 if here.cost - there.cost < thresholds.min_progress * (there.cost - goal) else 0
         values, here, change = moved, there, there.change
-        if idle == thresholds.max_idle:
+        if stalled == thresholds.max_stalled:
             break
     else:
         is_straight = False
-    is_short = idle == thresholds.max_idle
+    is_short = stalled == thresholds.max_stalled
     left = problem.bounded(values, here.change) - values
     return Settled(values, here, left, is_straight and not is_short, is_short)

@@ -30,14 +30,14 @@ SEED = 2  # of the errors of velocity, the same for all vehicles
 Made = TypeVar("Made")
 
 
-class _OfEach(Generic[Made]):
-    """What is made of each vehicle once."""
+class PerVehicleCache(Generic[Made]):
+    """Values that are computed once for each vehicle."""
 
     def __init__(self, make: Callable[[Vehicle], Made]) -> None:
         self._make, self._made = make, dict[int, tuple[Vehicle, Made]]()
 
-    def of(self, vehicle: Vehicle) -> Made:
-        """That of a vehicle."""
+    def get(self, vehicle: Vehicle) -> Made:
+        """Return the value of a vehicle."""
         if id(vehicle) not in self._made:
             self._made[id(vehicle)] = (vehicle, self._make(vehicle))
         return self._made[id(vehicle)][1]
@@ -54,13 +54,16 @@ class HeldOut:
         self.segments = segments
         self._regression, self._limits = regression, regression.thresholds.relevance
         self._saturated_floor = saturated_floor(regression, segments)
-        self._rows = _OfEach(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
-        self._windows = _OfEach(lambda vehicle: self._simulated(vehicle, self.segments))
-        self._row_errors, self._window_errors = _OfEach(self._rows_and_pose), _OfEach(self._windows_and_pose)
+        self._rows = PerVehicleCache(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
+        self._windows = PerVehicleCache(lambda vehicle: self._simulated(vehicle, self.segments))
+        self._row_errors, self._window_errors = (
+            PerVehicleCache(self._rows_and_pose),
+            PerVehicleCache(self._windows_and_pose),
+        )
 
     def rows(self, vehicle: Vehicle) -> list[Floats]:
         """(m, 12) residuals of each segment."""
-        return self._rows.of(vehicle)
+        return self._rows.get(vehicle)
 
     def shares_of_motion(self, without: Vehicle, vehicle: Vehicle) -> Floats:
         """(12,) RMS by which both vehicles' predictions differ over that of the motion which the latter explains."""
@@ -79,7 +82,7 @@ class HeldOut:
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
-        was, now = map(self._row_errors.of, (before, after))
+        was, now = map(self._row_errors.get, (before, after))
         if (skipped := self._skipped(before, after)) > 0:
             was, now = was.after(skipped), now.after(skipped)
         return channel_changes(was, now, floor, self._regression.rate, self._limits)
@@ -87,10 +90,10 @@ class HeldOut:
     def _rows_and_pose(self, vehicle: Vehicle) -> ModelErrors:
         """Residuals, and what errors of the pose's velocity make of them."""
         rows, r = self.rows(vehicle), self._regression
-        return ModelErrors(rows, [differences(residuals_in(r, vehicle, one), rows) for one in self._erring])
+        return ModelErrors(rows, [differences(residuals_in(r, vehicle, one), rows) for one in self._perturbed])
 
     @cached_property
-    def _erring(self) -> list[list[Segment]]:
+    def _perturbed(self) -> list[list[Segment]]:
         """The segments with errors of velocity as large as their own, once for each draw; none without such errors."""
         limits = self._regression.thresholds.pose
         if not self._regression.pose.there:
@@ -112,7 +115,7 @@ class HeldOut:
         Without the position where an estimator makes the pose: after a second its error is that of the velocity at the
         start, to which the commands respond, so that a model whose rotors turn the vehicle too much comes closer.
         """
-        was, now = map(self._window_errors.of, (before, after))
+        was, now = map(self._window_errors.get, (before, after))
         if not was:
             return {}
         interval = self._regression.thresholds.prediction.start_interval
@@ -128,7 +131,7 @@ class HeldOut:
         quantities = list(self.open_loop_changes(before, after))
         if not quantities:
             return math.inf
-        was, now = map(self._window_errors.of, (before, after))
+        was, now = map(self._window_errors.get, (before, after))
         interval = self._regression.thresholds.prediction.start_interval
         return -open_loop_total(was, now, quantities, interval, self._limits).deviations
 
@@ -138,7 +141,7 @@ class HeldOut:
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
-        return self._windows.of(vehicle)
+        return self._windows.get(vehicle)
 
     def _simulated(self, vehicle: Vehicle, segments: Sequence[Segment]) -> dict[float, list[Floats]]:
         regression = self._regression
@@ -146,7 +149,7 @@ class HeldOut:
 
     def _windows_and_pose(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
         """Errors of windows, by horizon, and what errors of the pose's velocity make of them."""
-        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._erring]
+        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._perturbed]
         return {h: ModelErrors(own, [differences(draw[h], own) for draw in drawn]) for h, own in windows.items()}
 
     def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
@@ -154,11 +157,11 @@ class HeldOut:
         return self.worse_channels(before, after) | self.worse_open_loop(before, after)
 
     def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """The same of the kinds of channel."""
+        """Kinds of channel whose error rises."""
         by_kind = self.channel_changes(before, after, self.floor(after))
         return {kind: change for kind, change in by_kind.items() if change.is_worse(self._limits)}
 
     def worse_open_loop(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
-        """The same of the open loop."""
+        """Quantities of the open loop whose error rises."""
         by_quantity = self.open_loop_changes(before, after)
         return {f"{OPEN_LOOP} {q}": c for q, c in by_quantity.items() if c.is_worse(self._limits)}

@@ -29,7 +29,7 @@ from diagnosis.selection.selected import (
 
 
 def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
-    """What is missing, and the regression about it: linear about the joint fit, in the gust that was detected.
+    """Missing effects, and the regression about them: linear about the joint fit, in the gust that was detected.
 
     Where the full model leaves much, and a gust stood in for a drag, the search begins again in still air; what that
     selects counts if it explains the flights. Where something is left then, the full model pursues it effect by
@@ -129,7 +129,7 @@ def _explored(regression: Regression, selection: Selection) -> _Explored:
 def _trusted(
     regression: Regression, start: Sequence[Candidate], earlier: Selection, last: Fit
 ) -> tuple[Selection, Fit]:
-    """What a search from a set selects, and its joint fit, after fewer steps where that is far worse than the last one.
+    """Selection of a search from a set, and its joint fit, after fewer steps where that is far worse than the last one.
 
     Columns about a fit that leaves much are right near it alone: a set that many steps away gains the most by them may
     explain far less in the full model, or nothing that is possible. The steps are then halved, down to none.

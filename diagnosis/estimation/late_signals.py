@@ -81,7 +81,7 @@ def late_signal(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> 
 
 
 def _signals(regression: Regression) -> list[str]:
-    """Those that the segments have."""
+    """Signals that the segments have."""
     example = regression.segments[0]
     has = {
         "accelerometer": example.specific_force is not None,

@@ -21,7 +21,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 
 
 class Fitted(Protocol):
-    """What is fitted: a regression's segments on its vehicle, or a planned flight."""
+    """Data of a fit: a regression's segments on its vehicle, or a planned flight."""
 
     @property
     def vehicle(self) -> Vehicle:

@@ -60,12 +60,12 @@ class ErrorChange:
 
     @property
     def share_of_left(self) -> float:
-        """What falls of the squared error, over what stays above the floor; infinite where nothing stays."""
+        """Decrease of the squared error over the remaining excess above the floor; infinite where nothing remains."""
         return _share(self.before**2 - self.after**2, self.after**2 - self.floor**2)
 
     @property
     def share_of_axis(self) -> float:
-        """The same of the axis that falls most."""
+        """Decrease of the squared error over the remaining excess, of the axis that falls most."""
         fall, left = max(((-change, left) for change, left in zip(self.by_axis, self.left, strict=True)))
         return _share(fall, left)
 
@@ -122,7 +122,7 @@ class ModelErrors:
 
 
 def differences(one: Sequence[Floats], other: Sequence[Floats]) -> list[Floats]:
-    """What each segment of one has more than that of the other."""
+    """Differences one - other of the errors, segment by segment."""
     return [a - b for a, b in zip(one, other, strict=True)]
 
 

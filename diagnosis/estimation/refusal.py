@@ -79,8 +79,8 @@ def reason_of(refused: Refused) -> str:
             text = "the vehicle file's own effects, fitted again, explain as much"
         case "interval_holds_neutral":
             text = (
-                f"its interval holds no effect at all: the fitted value is {number['deviations']} standard deviations "
-                f"from none, {number['required']} are required"
+                f"its interval includes the neutral value: the fit is {number['deviations']} standard deviations "
+                f"from it, {number['required']} are required"
             )
         case "channel_worse" | "contradicted":
             text = (
@@ -105,13 +105,14 @@ def reason_of(refused: Refused) -> str:
             text = f"only {number['share']} of the flight resamples agree"
         case "drifts":
             text = (
-                f"it has no one value: between strong and weak, or early and late in a flight, the fits differ by "
-                f"{number['share']} of it, {number['deviations']} standard deviations, while something else is missing"
+                "its value is not constant: between strong and weak, or early and late in a flight, the fits "
+                f"differ by {number['share']} of it, {number['deviations']} standard deviations, while something else "
+                "is missing"
             )
         case "overshadowed":
             text = (
                 f"it explains {number['share']} of the squared error of {refused.where} that is still unexplained; "
-                "some form explains as little of anything"
+                "any regressor would explain that little"
             )
         case "predictable" if refused.where == "line":
             text = f"air in motion has no line in its spectrum, but one has {number['share']} of the power of this one"

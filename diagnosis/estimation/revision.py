@@ -59,7 +59,7 @@ def effects_of_late_signal(regression: Regression, fitted: Fit, rows: Sequence[F
 
 
 def without(regression: Regression, accepted: Accepted, refused: Sequence[Refused], dataset: Dataset) -> Accepted:
-    """The same without effects that are refused afterwards, all others judged again."""
+    """Accepted set without effects that are refused afterwards, all others judged again."""
     left_out = {(one.name, one.rotor) for one in refused}
     rest = [c for c in accepted.fit.candidates if c.identity not in left_out]
     return judged_fit(regression, rest, dataset, regression.vehicle, refused=(*accepted.refused, *refused))
@@ -68,7 +68,7 @@ def without(regression: Regression, accepted: Accepted, refused: Sequence[Refuse
 def with_small(
     regression: Regression, accepted: Accepted, chosen: Sequence[Candidate], dataset: Dataset
 ) -> Accepted | None:
-    """The same with those of the chosen effects that were too small on what is held out, where the fitted flights show
+    """Accepted set with those effects that were too small on what is held out, where the fitted flights show
     that they matter; None without any.
 
     Seconds that are held out may lack their motion. They are not to make any error there worse.

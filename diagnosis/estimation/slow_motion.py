@@ -1,4 +1,4 @@
-"""What slow motion leaves of a model: Hansen's (1982) test of the restrictions that its fit does not need.
+"""Slow motion's test of a model: Hansen's (1982) test of the restrictions that its fit does not need.
 
 Turbulence turns the vehicle, its controller answers, and a wrong inertia or thrust constant explains a part of that:
 a fit leaves less beside it, also where nothing of it is there. The answer falls with the square of the frequency. Of

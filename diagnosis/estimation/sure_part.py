@@ -1,4 +1,4 @@
-"""What of an effect is sure, where parameters that may be neutral gain more than chance beside it.
+"""Significant part of an effect, where parameters that may be neutral gain more than chance beside it.
 
 Turbulence turns a vehicle and its controller answers, which looks like an inertia. The fit has widened the intervals of
 what follows from that; the columns, which say that no effect of fewer parameters explains as much, know nothing of it.
@@ -17,7 +17,7 @@ from dynamics.vehicle import Vehicle
 
 
 def sure_part(search: Search, fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> Candidate | None:
-    """The same candidate with those parameters alone that differ from neutral.
+    """Candidate with those parameters alone that differ from neutral.
 
     None where all of them do, or none, where the others gain no more than chance, and for what does not scale the
     forces of all rotors, to which the answer is. vehicle: that lacks the effect.

@@ -52,7 +52,7 @@ class ExpectedInterval:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What the rows of a fit are made of: see `estimation.linear_rows.Fitted`."""
+    """Data of a fit along a plan: see `estimation.linear_rows.Fitted`."""
 
     vehicle: Vehicle
     catalogue: Mapping[str, Effect]
@@ -103,7 +103,7 @@ class Expectation:
         return float(self._weight @ np.log(self._prior / self._deviations(motion, laps)))
 
     def intervals(self, motion: ReferenceSamples, laps: float) -> tuple[ExpectedInterval, ...]:
-        """Those of the effects that are to be shown."""
+        """Expected intervals of the effects that are to be shown."""
         rows = zip(self._free, self._prior, self._deviations(motion, laps), self._weight, strict=True)
         return tuple(
             ExpectedInterval(f"{c.key}.{name}", _unit(c.effect, name), c.at[name], float(prior), float(std))

@@ -47,7 +47,7 @@ class Lap:
         return 2 * np.pi / self.rate
 
     def at_pace(self, pace: float) -> Lap:
-        """The same curve at a factor of the speed."""
+        """Curve at a factor of the speed."""
         return replace(self, rate=pace * self.rate)
 
 

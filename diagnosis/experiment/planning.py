@@ -57,7 +57,7 @@ class PlannedFlight:
     expectation: Expectation
 
     def at_pace(self, pace: float) -> PlannedFlight:
-        """The same path at another factor of the speed, with what that lets expect."""
+        """Path at another factor of the speed, with its expected intervals."""
         return _planned(self.request, self.family, self.expectation, self.lap.at_pace(pace), self.effects)
 
     def write_csv(self, path: str | Path) -> Path:

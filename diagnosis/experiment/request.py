@@ -1,4 +1,4 @@
-"""What an identification flight is asked to be: `identify:duration=60,box=4x4x2.5,speed=5,for=drag+inertia+lag`."""
+"""Request of an identification flight: `identify:duration=60,box=4x4x2.5,speed=5,for=drag+inertia+lag`."""
 
 from __future__ import annotations
 

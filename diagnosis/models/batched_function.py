@@ -205,7 +205,7 @@ class RowFunction:
         return result.T
 
     def _mapped(self, arguments: Sequence[Floats]) -> Floats:
-        """The same by CasADi's own map over the rows, the shared arguments repeated."""
+        """Values by CasADi's own map over the rows, the shared arguments repeated."""
         everything = [np.asarray(values, dtype=float).T for values in arguments]
         return np.asarray(self._function.call(everything)[0], dtype=float).T
 

@@ -1,4 +1,4 @@
-"""What lies between a motor command and thrust, as effects that every model of a command log holds.
+"""Effects between a motor command and thrust, which every model of a command log holds.
 
 A thrust command in newtons is not thrust (0.63 to 1.7 times of it in one set of real flights), a signal of 0 to 1 has a
 curve that vehicle files describe badly, both change with the battery, and motors differ by a tenth. None of it is a

@@ -24,7 +24,7 @@ from dynamics.vehicle import GRAVITY
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """What errors of the pose add to the residuals.
+    """Contribution of the pose's errors to the residuals.
 
     slopes: (12,) of the channels in an error of velocity, RMS over its three axes, 1/s or 1/(s m); None where the pose
         has no errors of its own.

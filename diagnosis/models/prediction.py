@@ -1,4 +1,4 @@
-"""What a model predicts along a measured flight: specific force and angular acceleration at every row, or slopes."""
+"""Prediction of a model along a measured flight: specific force and angular acceleration at every row, or slopes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dynamics.arrays import Floats
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model predicts along a segment, or a slope of it.
+    """Prediction of a model along a segment, or a slope of it.
 
     specific_force: (n, 3) body, as the accelerometer would read it, m/s^2.
     angular_acceleration: (n, 3) in the gyro's axes, rad/s^2.

@@ -197,7 +197,7 @@ class Predictor:
         return starts
 
     def _hidden_key(self, segment: Segment, p: Floats, initial: Floats) -> Hashable:
-        """What hidden states along a segment depend on: the same in all models where these are the same."""
+        """Key of the hidden states along a segment: equal in all models whose hidden states are equal."""
         stride = self._stride(segment, p)
         own = p[self._functions.hidden_parameters].tobytes(), initial.tobytes()
         return (self._functions.hidden_slope, *own, stride, self.substeps(stride / segment.rate, p))
@@ -263,7 +263,7 @@ def _at_age(segment: Segment, age: float) -> Segment:
 
 
 class _Functions:
-    """What predictors of one structure and one set of free parameters compute, each made when it is needed first."""
+    """Functions of the predictors of one structure and one set of free parameters, each made when first needed."""
 
     def __init__(self, model: Model, free: Sequence[str]) -> None:
         self._model, self._symbols = model, _symbols(model)
@@ -309,7 +309,7 @@ _functions: dict[Hashable, _Functions] = {}
 
 
 def _functions_of(model: Model, free: tuple[str, ...]) -> _Functions:
-    """Those of a model, kept for models of the same structure."""
+    """Functions of a model, kept for models of its structure."""
     if (model.structure, free) not in _functions:
         if len(_functions) >= MAX_KEPT:
             _functions.clear()
@@ -413,7 +413,7 @@ def _gyro_gain(model: Model, p: Expression) -> Expression:
 
 
 def _solved(slope: Expression, reading: Expression) -> Expression:
-    """What slope times gives the reading."""
+    """Solution of slope @ x = reading."""
     return reading / ca.diag(slope) if slope.sparsity().is_diag() else ca.solve(slope, reading)
 
 

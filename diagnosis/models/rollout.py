@@ -65,7 +65,7 @@ class Simulator:
     def run_together(
         self, starts: Sequence[tuple[Segment, Sequence[int]]], steps: int, p: Floats
     ) -> list[SimulatedWindows]:
-        """The same of several segments, with rows of each."""
+        """Simulate windows of several segments, with rows of each."""
         parts = [self._at_start(segment, rows, steps, p) for segment, rows in starts]
         states, inputs, environment = (
             np.concatenate(values) for values in zip(*((w.states, w.inputs, w.environment) for w in parts), strict=True)
@@ -211,7 +211,7 @@ _functions: dict[Hashable, _StepFunctions] = {}
 
 
 def _step_functions(model: Model, places: tuple[int, ...], count: int, *, speed_measured: bool) -> _StepFunctions:
-    """Those of a model, kept for models of the same structure."""
+    """Step functions of a model, kept for models of its structure."""
     key = (model.structure, places, count, speed_measured)
     if key not in _functions:
         if len(_functions) >= MAX_KEPT:

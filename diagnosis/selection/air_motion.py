@@ -29,7 +29,7 @@ class Whitened:
     row_errors: Floats
 
     def flat(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """The same with time and channels in one: (m c, k), (m c,), twice."""
+        """Rows with time and channels in one axis: (m c, k), (m c,), twice."""
         width = self.columns.shape[2]
         return (
             self.columns.reshape(-1, width),

@@ -87,7 +87,7 @@ class Candidate:
         return EffectUse(self.effect.name, {**self.at, **(self.fitted or {})}, self.rotor)
 
     def about(self, fitted: Mapping[str, float]) -> Candidate:
-        """The same candidate, linear about the values of a fit that holds it."""
+        """Candidate, linear about the values of a fit that holds it."""
         held = {name: fitted.get(name, value) for name, value in self.at.items() if name not in self.free}
         return replace(self, at={**self.at, **held}, fitted={**self.at, **fitted})
 
@@ -236,7 +236,7 @@ def make_instruments(
 
 @dataclass(frozen=True, eq=False)
 class _SlowMotion:
-    """What a segment does below a cutoff.
+    """Motion of a segment below a cutoff.
 
     inertia: of the vehicle, kg m^2.
     moment: (n, 3) that turns such a vehicle so, N m.
@@ -252,7 +252,7 @@ _slow_motions: WeakKeyDictionary[Segment, dict[float, _SlowMotion]] = WeakKeyDic
 
 
 def _slow_motion(segment: Segment, vehicle: Vehicle, cutoff: float) -> _SlowMotion:
-    """That of a segment, remembered for the last vehicle. cutoff: Hz."""
+    """Slow motion of a segment, remembered for the last vehicle. cutoff: Hz."""
     of_segment, inertia = _slow_motions.setdefault(segment, {}), np.array(vehicle.body.inertia)
     if cutoff not in of_segment or of_segment[cutoff].inertia != tuple(inertia):
         turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate

@@ -100,7 +100,7 @@ class DesignMatrix:
         return self._evaluated(segment, columns, self._groups, instrumented=instrumented)
 
     def again(self, segment: Segment, columns: Floats) -> tuple[Floats, Floats]:
-        """The same with earlier columns (m, 12, k), but for those of what the model holds, of air and of what shares a
+        """Rows with earlier columns (m, 12, k), but for those of what the model holds, of air and of what shares a
         model with others."""
         changed = [g for g in self._groups if len(g.candidates) > 1 or _is_held_or_air(g.candidates[0])]
         return self._evaluated(segment, columns, changed, instrumented=True)
@@ -151,7 +151,7 @@ class _Bases:
     without: Mapping[tuple[str, int | None], Floats]
 
     def of(self, candidate: Candidate) -> Floats:
-        """That of a candidate."""
+        """Columns of a candidate."""
         return self.without.get(candidate.identity, self.present)
 
 
@@ -211,7 +211,7 @@ def _renumbered(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _ModelSource:
-    """What all models of a design matrix share."""
+    """Common part of all models of a design matrix."""
 
     vehicle: Vehicle
     catalogue: Mapping[str, Effect]

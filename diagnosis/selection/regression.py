@@ -211,7 +211,7 @@ class Regression:
         return solved(*self._free_of_shared(list(chosen), weights))[1]
 
     def cross_validated_gain(self, chosen: Sequence[int]) -> float:
-        """The same on each flight with coefficients from the others, without errors-in-variables correction.
+        """Gain on each flight with coefficients from the others, without errors-in-variables correction.
 
         The gain and the curve of commands are estimated on the flight itself.
         """
@@ -239,7 +239,7 @@ class Regression:
         return all(one.spectra for one in self.equations)
 
     def in_gust(self, variance: float) -> Regression:
-        """The same flights in a random air motion of this variance, (m/s)^2, which is marginalised."""
+        """Regression in a random air motion of this variance, (m/s)^2, which is marginalised."""
         if variance == self.gust_variance or not self.feels_air:
             return self
         everywhere = range(len(self.product[0]))

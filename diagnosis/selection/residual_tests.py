@@ -28,7 +28,7 @@ TESTS = ("low_frequency_agreement", "predictable_from_state", "spectral_line", "
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What a test finds in the channel where that is largest.
+    """Finding of a test in the channel where that is largest.
 
     test: its name, that of the statistic.
     channel: place among the twelve.
@@ -64,7 +64,7 @@ class ResidualTests:
     predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
         velocity, gains on flights left out, over the number of whitened residuals, beyond a controller's answer to
         turbulence and what turbulence makes of the state a moment later; beside an estimator's slow errors, less what
-        the state gains at most in residuals from elsewhere, with which it has nothing to do, and of its own errors.
+        the state gains at most in surrogate (time-shifted) residuals and of its own errors.
     spectral_line: greatest narrow-band power over its surroundings, but for what a form leaves of the motion's lines.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -96,13 +96,13 @@ def run_residual_tests(
     *,
     by_position: bool = False,
     gust: Floats | None = None,
-    erring: Callable[[], Sequence[ErringRows]] | None = None,
+    perturbed: Callable[[], Sequence[PerturbedResiduals]] | None = None,
 ) -> ResidualTests:
     """Tests of residuals (m, 12) of the regression's segments.
 
     by_position: whether to test what repeats at the same positions, which a gust does not. gust: (12,) RMS that one has
     in each channel, which belongs to the floor with which findings but the line are compared: air has no line.
-    erring: makes draws of the segments with more of an estimator's errors, where one made the pose; asked where the
+    perturbed: makes draws of the segments with more of an estimator's errors, where one made the pose; asked where the
         state predicts more than it may.
     """
     floor = regression.noise.floor if gust is None else np.hypot(regression.noise.floor, gust)
@@ -110,15 +110,17 @@ def run_residual_tests(
     states = [_state(s) for s in regression.segments]
     chances = thresholds.chances if regression.pose.there else 0
     by_state = _without_feedback(regression, rows)
-    elsewhere = [_rolled(by_state, n / (chances + 1)) for n in range(1, chances + 1)]
+    surrogates = [_rolled(by_state, n / (chances + 1)) for n in range(1, chances + 1)]
     tried = [
-        _beyond_answers(regression, x, by_state, _predictable(regression, x, by_state, regression.flight_of, elsewhere))
+        _beyond_answers(
+            regression, x, by_state, _predictable(regression, x, by_state, regression.flight_of, surrogates)
+        )
         for x in _features_of_state(states, thresholds)
     ]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
-    if erring is not None and predictable > regression.thresholds.verdict.max_predictable * total:
-        of_errors = max(_explained_by_errors(regression, one, thresholds) for one in erring())
+    if perturbed is not None and predictable > regression.thresholds.verdict.max_predictable * total:
+        of_errors = max(_explained_by_errors(regression, one, thresholds) for one in perturbed())
         predictable = max(predictable - of_errors, 0.0)
     findings = [_largest("predictable_from_state", best.parts, floor)]
     repeating = 0.0
@@ -146,7 +148,7 @@ def run_residual_tests(
 
 
 @dataclass(frozen=True, eq=False)
-class ErringRows:
+class PerturbedResiduals:
     """Segments with a draw of an estimator's errors.
 
     segments: with it. added: (m, 12) what it adds to each one's residuals under the model that is tested.
@@ -156,14 +158,16 @@ class ErringRows:
     added: Sequence[Floats]
 
 
-def _explained_by_errors(regression: Regression, erring: ErringRows, thresholds: ResidualTestThresholds) -> float:
-    """What the state gains in residuals that are its own errors alone, under a model that is right.
+def _explained_by_errors(
+    regression: Regression, perturbed: PerturbedResiduals, thresholds: ResidualTestThresholds
+) -> float:
+    """Gain of the state in residuals that are its own errors alone, under a model that is right.
 
     To a drag an error of velocity is force, which the measured velocity predicts as far as it is that error.
     """
-    states = [_state(segment) for segment in erring.segments]
+    states = [_state(segment) for segment in perturbed.segments]
     tried = _features_of_state(states, thresholds)
-    return max(_predictable(regression, x, erring.added, regression.flight_of).gain for x in tried)
+    return max(_predictable(regression, x, perturbed.added, regression.flight_of).gain for x in tried)
 
 
 def _slow_agreement(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> float:
@@ -308,7 +312,7 @@ def _features(states: Sequence[Floats], fineness: float, count: int) -> list[Flo
 
 
 def _rolled(rows: Sequence[Floats], share: float) -> list[Floats]:
-    """Residuals (m, 12) from elsewhere for each segment: all of them in a row, later by a share of their time."""
+    """Surrogate residuals (m, 12) for each segment: all of them in a row, later by a share of their time."""
     everything = np.vstack(rows)
     later = np.roll(everything, round(share * len(everything)), axis=0)
     return np.split(later, np.cumsum([len(r) for r in rows])[:-1])
@@ -320,10 +324,10 @@ def _halves(rows: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class _Prediction:
-    """What features predict of residuals on groups left out.
+    """Prediction of residuals by features, on groups left out.
 
     gain: in twice the log-likelihood, summed over channels.
-    by_chance: the greatest such gain in residuals from elsewhere; 0 without any.
+    by_chance: the greatest such gain in surrogate residuals; 0 without any.
     parts: by channel, the RMS and the values of what is predicted.
     """
 
@@ -369,7 +373,7 @@ class _LeaveOneOut:
 
 @dataclass(frozen=True, eq=False)
 class _LeftOut:
-    """What ridge regressions of r residuals predict of groups that they leave out.
+    """Ridge regressions' predictions of r residuals, on groups that they leave out.
 
     gain: (r,) in twice the log-likelihood. size: (r,) squares of what is predicted. coefficients: (k, r), a group each.
     """
@@ -389,17 +393,17 @@ def _predictable(
     features: Sequence[Floats],
     rows: Sequence[Floats],
     group_of: Sequence[int],
-    elsewhere: Sequence[Sequence[Floats]] = (),
+    surrogates: Sequence[Sequence[Floats]] = (),
 ) -> _Prediction:
-    """What features (m, k) predict of residuals (m, 12), leaving one group out. elsewhere: others of their size."""
-    total, by_chance, noise = 0.0, np.zeros(len(elsewhere)), regression.noise
+    """Prediction of residuals (m, 12) by features (m, k), leaving one group out. surrogates: others of their size."""
+    total, by_chance, noise = 0.0, np.zeros(len(surrogates)), regression.noise
     ridges = regression.thresholds.residual_tests.ridges
     parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}
     for place, channel in enumerate(noise.active):
         if channel >= MOTION.stop:
             continue
         fits = _LeaveOneOut.on(features, noise, place, group_of)
-        products = fits.products(rows, *elsewhere)
+        products = fits.products(rows, *surrogates)
         tried = [fits.predict(products, ridge) for ridge in ridges]
         by_chance += np.max([one.gain[1:] for one in tried], axis=0, initial=0.0)
         best = max(tried, key=lambda one: float(one.gain[0]))

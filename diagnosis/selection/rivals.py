@@ -36,7 +36,7 @@ def alone(search: Search, others: Sequence[Candidate]) -> Scored:
 
 
 def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
-    """Those of the rivals that the columns, which err by a share of the whole gain, do not tell from the first."""
+    """Rivals that the columns, which err by a share of the whole gain, do not tell from the first."""
     own, thresholds = rivals[0], search.regression.thresholds.rivals
     margin = max(thresholds.score_margin, thresholds.gain_share * own.gain)
     if search.regression.segments[0].rotor_source == "command":
@@ -66,7 +66,7 @@ def declared_alike(one: Candidate, other: Candidate) -> bool:
 
 
 def look_alikes(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
-    """Those of the near rivals that leave little of what the first one adds to the others.
+    """Near rivals that leave little of what the first one adds to the others.
 
     Beside much else the columns' error alone would make every rival of a small effect one.
     """

@@ -64,7 +64,7 @@ class _Solutions:
         return Scored(self.sets[number], float(self.scores[number]), float(self.gains[number]))
 
     def fitting(self, number: int) -> Set:
-        """Those effects of a set whose coefficients are possible in it."""
+        """Effects of a set whose coefficients are possible in it."""
         fits, fitting, start = self.fits[number], [], 0
         for candidate in self.sets[number]:
             stop = start + len(candidate.columns)
@@ -169,7 +169,7 @@ class Search:
         return list(results.values())
 
     def worth(self, scored: Scored) -> float:
-        """What the search maximises: the score less what each effect must gain at least."""
+        """Objective of the search: the score less what each effect must gain at least."""
         faults = all(c.effect.sensor_prior is not None for c in scored.candidates)
         required = self.thresholds.min_fault_gain if faults else self.required
         return scored.score - required * len(scored.candidates)
@@ -294,7 +294,7 @@ class Search:
         return chosen
 
     def ordered(self, chosen: Scored) -> Scored:
-        """The same set, ordered by how much gain is lost without an effect, most first."""
+        """Set ordered by how much gain is lost without an effect, most first."""
         if len(chosen.candidates) < 2:
             return chosen
         rest = {c.key: self.score(_without(chosen.candidates, c)).gain for c in chosen.candidates}

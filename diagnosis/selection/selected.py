@@ -1,4 +1,4 @@
-"""What a search selects: a gust is a nuisance beside the effects, whose strength is estimated again with each set."""
+"""Selection of a search: a gust is a nuisance beside the effects, whose strength is estimated again with each set."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diagnosis.selection.search import Scored, Search, Set, min_score
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What a search has selected.
+    """Selection of a search.
 
     chosen: the effects, the most important first.
     singles: each effect alone at its best grid point, best first.
@@ -47,7 +47,7 @@ def select(regression: Regression) -> Selection:
 
 
 def select_in_still_air(regression: Regression, first: Selection) -> Selection | None:
-    """What the steps lead to without a gust, None where there is none or a drag beside it. first: what they led to.
+    """Selection without a gust, None where there is none or a drag beside it. first: the selection before.
 
     A gust acts through a drag, through the usual one of a vehicle that lacks it: it then moves as the vehicle does, and
     takes the place of the drag and of what resembles one.

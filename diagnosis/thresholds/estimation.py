@@ -25,9 +25,9 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
     hopeless: reduced chi-square over that of a set that it is compared with, above which a fit whose way was not
         straight is not made again. [decisions: damped steps took the most off a true set that ended at 5.5 times]
-    min_approach: share of what is above a cost that must be reached, which a step must take off: with less, none of
+    min_progress: share of what is above a cost that must be reached, which a step must take off: with less, none of
         those that are left reaches it. [formula: max_steps of them take 0.57 off]
-    max_idle: steps in a row that take less. [definition: the first may lead over a rise]
+    max_stalled: consecutive steps below min_progress. [definition: the first may lead over a rise]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
@@ -54,8 +54,8 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     converged: Positive = 0.02
     max_unsettled: Positive = 1.0
     hopeless: Factor = 6.0
-    min_approach: Share = 0.1
-    max_idle: Count = 2
+    min_progress: Share = 0.1
+    max_stalled: Count = 2
     difference_step: Positive = 0.02
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
@@ -68,7 +68,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
 
 
 class SlowMotionThresholds(ThresholdGroup, frozen=True):
-    """What slow motion leaves of a model.
+    """Slow motion's test of a model.
 
     cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
     min_share: of the instruments' scaled Gram matrix, below which its directions are none. [convention]
@@ -130,7 +130,7 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
 
 
 class RelevanceThresholds(ThresholdGroup, frozen=True):
-    """What is too small to matter, and what is chance.
+    """Smallest change that matters, and chance.
 
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
     min_motion: RMS by which an effect changes a channel over that of the motion which the model explains there, below

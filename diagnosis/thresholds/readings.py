@@ -79,7 +79,7 @@ class SegmentThresholds(ThresholdGroup, frozen=True):
 
 
 class DatasetThresholds(ThresholdGroup, frozen=True):
-    """What is fitted and what is held out. Applied when flights are read.
+    """Division into fitted and held-out flights. Applied when flights are read.
 
     held_out_share: of the flights, or of the one flight's time. [convention]
     min_groups: of fitted rows, which leaving one out needs; fewer flights are cut into parts. [margins: neither]
@@ -148,7 +148,7 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
 
 
 class DataChecks(ThresholdGroup, frozen=True):
-    """What flights and vehicle file must meet before anything is diagnosed.
+    """Conditions on flights and vehicle file before anything is diagnosed.
 
     min_duration: of all flights together, s. [margins: neither]
     min_speed: horizontal, RMS, m/s; less with little rotation is hover. [margins: neither]

@@ -132,8 +132,8 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
 
     features: random Fourier features of state or position. [margins: neither]
-    chances: residuals from elsewhere, of which the most predictable shows what chance predicts. [formula: one in nine
-    exceeds all of eight]
+    chances: surrogate (time-shifted) residuals, of which the most predictable shows what chance predicts.
+        [formula: one in nine exceeds all of eight]
     state_fineness: of a feature of the state, over the standard deviation of the state. [margins: neither]
     velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [margins: neither]
     position_fineness: the same of position alone, where a field of air repeats. [margins: neither]

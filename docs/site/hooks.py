@@ -1,4 +1,4 @@
-"""What the site needs beyond docs/: pages and files elsewhere in the repository that pages link to.
+"""Pages and files outside docs/ that the site needs, as pages link to them.
 
 README.md becomes the start page, and measurements.md lists what benchmarks/results holds. A link that leaves docs/
 takes its target along: a page becomes a page of the site, any other file is copied, a folder stays text. Lists may

@@ -34,7 +34,7 @@ class Excess:
     unit: str
 
     def __str__(self) -> str:
-        """What is exceeded, when, and by how much."""
+        """Excess: quantity, time and size."""
         word = "below" if self.value < self.limit else "above"
         return f"{self.quantity} {self.value:.3g} {self.unit} at {self.time:.2f} s, {word} {self.limit:.3g} {self.unit}"
 
@@ -90,7 +90,7 @@ def _advise(reference: Reference, slower: float | None) -> str:
 
 
 def slowed(reference: Reference, speed: float) -> Reference:
-    """The same path at a factor of the speed, ramps stretched with it."""
+    """Path at a factor of the speed, ramps stretched with it."""
     law = reference.law
     law = replace(law, rate=law.rate * speed, ramp=law.ramp / speed, duration=law.duration / speed)
     return replace(reference, law=law, speed=None if reference.speed is None else reference.speed * speed)

@@ -31,7 +31,7 @@ MEASURED_SPEEDS: Mapping[str, str] = {
 
 
 def faster_rotors(form: str, parameters: Mapping[str, float]) -> str:
-    """What to set so that rotors are logged fast enough.
+    """Setting that logs rotors fast enough.
 
     form: the log's format.
     parameters: the vehicle's.

@@ -34,7 +34,7 @@ NOTABLE, STRONG = 0.3, 1.0  # m/s^2; the second is a tenth of gravity
 
 @dataclass(frozen=True)
 class Imbalance:
-    """What a rotor's propeller does once a turn.
+    """Force of a rotor's propeller once a turn.
 
     amplitude: of the specific force in the rotors' plane, m/s^2, at the rotor's usual speed.
     frequency: of turning, Hz, the median.

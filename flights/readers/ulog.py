@@ -303,7 +303,7 @@ def _setpoints(assembly: Assembly, topics: Topics) -> None:
 
 
 def _aiding(assembly: Assembly, topics: Topics) -> None:
-    """What of vision and motion capture the estimator used: it stays an estimator."""
+    """Add the vision and motion capture that the estimator used: it stays an estimator."""
     topic = next((name for name in _EXTERNAL if topics.get(name) is not None), None)
     used = any(int(assembly.parameters.get(name, 0)) & mask for name, mask in _EXTERNAL_AIDING.items())
     if topic is not None and used:

@@ -46,7 +46,7 @@ class FollowedValue(msgspec.Struct, frozen=True):
 
 
 class Followed(msgspec.Struct, frozen=True):
-    """What a model follows.
+    """Quantities that a model follows.
 
     parameters: by name, such as "wind.x".
     disturbance: (6,) accelerations beyond the model, linear m/s^2 in world axes, then angular rad/s^2 in body axes.
@@ -148,7 +148,7 @@ class Adaptation:
 
     @property
     def followed(self) -> Followed:
-        """What has been estimated so far."""
+        """Estimates so far."""
         filtered, layer = self.filter, self.network
         return Followed(
             dict(self.values),
@@ -232,7 +232,7 @@ class Adaptation:
 
     @property
     def excess(self) -> str:
-        """What pushes the vehicle where it is beyond the limit of the estimate, or of the thrust; else empty."""
+        """Push beyond the limit of the estimate, or of the thrust, in words; else empty."""
         staying, fading = self.filter.staying.tolist(), self.filter.fading.tolist()
         x, y, z = staying[0] + fading[0], staying[1] + fading[1], staying[2] + fading[2]
         needed = math.hypot(x, y, GRAVITY - z) / GRAVITY

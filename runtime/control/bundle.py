@@ -144,7 +144,7 @@ class Bundle:
 
     @property
     def last_layer(self) -> Path | None:
-        """What a network's last layer was trained on; None in a bundle without it."""
+        """File of the last layer's training moments; None in a bundle without it."""
         return self.folder / LAST_LAYER if LAST_LAYER in self.manifest.files else None
 
     @property

@@ -103,7 +103,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         return msgspec.structs.replace(self, rate_lookahead=lookahead.rate, yaw_lookahead=lookahead.yaw)
 
     def for_kernel(self, compiled: Problem) -> ControllerOptions:
-        """The same with the nodes and horizon of a compiled kernel; in place of a default problem the kernel's own."""
+        """Options with the nodes and horizon of a compiled kernel; in place of a default problem the kernel's own."""
         problem = msgspec.structs.replace(self.problem, nodes=compiled.nodes, horizon=compiled.horizon)
         return msgspec.structs.replace(self, problem=compiled if self.problem == Problem() else problem)
 

@@ -27,7 +27,7 @@ class Hover(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class KernelFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a model's formulas say of its vehicle, evaluated where CasADi was.
+    """Constants derived from the model at export time, so that flight needs no CasADi.
 
     parameters: p.
     hidden_initial: hidden states in hover.

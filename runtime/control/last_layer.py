@@ -21,7 +21,7 @@ NUISANCES = 2 * AXES  # a force that stays and one that fades, world axes
 
 
 class LastLayer:
-    """What a network's last layer lacks of the linear acceleration, from the last seconds of flight.
+    """Correction of a network's last layer for the linear acceleration, from the last seconds of flight.
 
     A block of 0.1 s is a row of a regression by axis: acceleration beyond the trained model = share R V psi + o + g +
     noise. psi: whitened inputs of the layer. V: the change. o, g: a disturbance that stays and one that fades.

@@ -69,7 +69,7 @@ class Timing(msgspec.Struct, frozen=True):
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """What a bundle's kernels answered on this computer."""
+    """Answers of a bundle's kernels on this computer."""
 
     processor: str
     ticks: int

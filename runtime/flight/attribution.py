@@ -96,7 +96,7 @@ class Attribution:
         return None
 
     def _host(self) -> str:
-        """What this computer missed lately, empty for nothing."""
+        """Stalls of this computer lately, empty for none."""
         if not self._stalls:
             return ""
         stalled = sum(gap for _, gap in self._stalls)

@@ -57,7 +57,7 @@ def build_flyer(
 
 
 def vehicle_facts(trim: Vehicle) -> VehicleFacts:
-    """What the autopilot's parameters must agree with. trim: the vehicle as it hovers."""
+    """Facts that the autopilot's parameters must agree with. trim: the vehicle as it hovers."""
     rotors = trim.rotors
 
     def hover_thrust(thrust_curve: float) -> float:

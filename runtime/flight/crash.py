@@ -16,7 +16,7 @@ from runtime.flight.events import Event
 
 @dataclass(frozen=True)
 class CrashLimits:
-    """What no flight shows, whatever its model lacks (benchmarks/results/crash_detector.md).
+    """Limits no healthy flight exceeds, even with a wrong model (benchmarks/results/crash_detector.md).
 
     impact: m/s^2, change of the external force within `impact_time`; air cannot change it so fast.
     impact_time: s.

@@ -26,7 +26,7 @@ class State(Enum):
 
 
 class AutopilotRequest(Enum):
-    """What is requested of the autopilot."""
+    """Request to the autopilot."""
 
     OFFBOARD = "offboard"
     ARM = "arm"
@@ -134,7 +134,7 @@ class Engagement:
 
     @property
     def requests(self) -> tuple[AutopilotRequest, ...]:
-        """What the last update requests of the autopilot."""
+        """Requests of the last update to the autopilot."""
         return self._requests
 
     def engage(self) -> None:

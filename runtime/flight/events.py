@@ -13,7 +13,7 @@ from enum import Enum, IntEnum
 
 
 class Fallback(IntEnum):
-    """What is sent instead of a fresh solution, in the order of escalation."""
+    """Setpoint in place of a fresh solution, in the order of escalation."""
 
     NONE = 0
     SHIFTED_SOLUTION = 1
@@ -89,7 +89,7 @@ class Event(Enum):
 
 @dataclass(frozen=True)
 class Policy:
-    """What an event leads to.
+    """Consequence of an event.
 
     text: for a log, a STATUSTEXT or a screen.
     fallback: the mildest that may be flown while the event is active.

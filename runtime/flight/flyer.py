@@ -51,7 +51,7 @@ SINK_GAIN, SINK_LIMIT = 3.0, 2.0  # 1/s and rad/s, of levelling where thrust is 
 MIN_THRUST = 1.08  # of the weight, at most available, with which a flight goes on
 TOUCHDOWN_RATE = 0.4  # rad/s of tilting: what a soft contact lets it tilt until it is noticed
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
-CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
+CATCH_TIME = 0.15  # s in which the controller takes over after a false contact
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
 
 

@@ -1,4 +1,4 @@
-"""What the external force shows of a flight: that it lands, has met something, or that there is no ground. Pure."""
+"""Ground contact by the external force: a landing, a collision, or no ground below. Pure."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from runtime.flight.thrust import MAX_FILE_ERROR
 
 
 class Ground(Enum):
-    """What a probe of the ground has found."""
+    """Result of a probe of the ground."""
 
     OPEN = "open"
     CARRIES = "carries"

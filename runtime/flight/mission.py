@@ -44,7 +44,7 @@ Origin = Literal["takeoff", "estimate"]
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is flown besides the reference.
+    """Plan of a flight around the reference: take-off, transfers, hover, landing.
 
     height: of take-off, m.
     duration: of the reference, s; None: its own.
@@ -158,7 +158,7 @@ class Mission:
         self._enter(Phase.CONTACT, None, time)
 
     def catch(self, state: Floats, time: float) -> None:
-        """Fly on after a contact that was none: descend from here, or brake first where the flight was cut short."""
+        """Fly on after a false contact: descend from here, or brake first where the flight was cut short."""
         if self._landing:
             self._touch_down(self._takeoff_frame_pose(state), time)
         else:

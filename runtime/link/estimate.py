@@ -235,7 +235,7 @@ class EstimateMonitor:
         return EstimateCheck(estimate, "estimate_moved", text, _step(latest, estimate))
 
     def _jump(self, before: StateEstimate, after: StateEstimate) -> str | None:
-        """What moved further from one estimate to the next than the limits allow, or None."""
+        """Quantity that moved further from one estimate to the next than the limits allow, or None."""
         limits, elapsed = self._limits, abs(after.time - before.time)
         half = 0.5 * elapsed
         # plain numbers: this runs for every estimate, and NumPy would take longer
@@ -259,7 +259,7 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _step(before: StateEstimate, after: StateEstimate) -> ResetStep:
-    """What a reset moved, without the vehicle's own motion in between."""
+    """Step of a reset, without the vehicle's own motion in between."""
     elapsed = max(0.0, after.time - before.time)
     travelled = elapsed * before.velocity_world
     rotated = quaternion.multiply(before.attitude, quaternion.exponential(elapsed * before.rate_body))

@@ -29,7 +29,7 @@ Stream = tuple[int, int, int]  # system, component, link id
 
 
 class SigningState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What outlives a process.
+    """Signing state that outlives a process.
 
     timestamp: the first that is certainly unused.
     heard: the latest timestamp of each stream: system, component, link id, timestamp.

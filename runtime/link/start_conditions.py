@@ -1,4 +1,4 @@
-"""What must hold before a vehicle is armed: one list for `alula link` and `alula fly`, each refusal with its remedy.
+"""Conditions before a vehicle is armed: one list for `alula link` and `alula fly`, each refusal with its remedy.
 
 `start_problems` is pure; `observe_start` collects its facts on a link in a second.
 """
@@ -77,7 +77,7 @@ class StartFacts(msgspec.Struct, frozen=True):
 
 
 class VehicleFacts(msgspec.Struct, frozen=True):
-    """What the vehicle file says that the autopilot's parameters must agree with.
+    """Facts of the vehicle file that the autopilot's parameters must agree with.
 
     rotors: their number. hover_thrust: the autopilot's THR_MDL_FAC to its thrust setpoint in hover, 0..1.
     """

@@ -137,7 +137,7 @@ class HorizonRecord(msgspec.Struct, frozen=True):
 
 
 class FollowedRecord(msgspec.Struct, frozen=True):
-    """What the model follows in flight. names: of the parameters, one word each."""
+    """Followed parameters in flight. names: of the parameters, one word each."""
 
     time: Seconds
     staying: Annotated[Floats, Meta(description="m/s^2 world ENU, rad/s^2 body FLU: the disturbance's lasting part")]

@@ -1,4 +1,4 @@
-"""What the armed vehicle flies in each mode: PX4's navigator and flight mode manager, as far as the mock needs them."""
+"""Navigator of the armed vehicle: PX4's navigator and flight mode manager, as far as the mock needs them."""
 
 from __future__ import annotations
 

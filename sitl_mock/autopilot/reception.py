@@ -1,4 +1,4 @@
-"""What the mock does with each message that it receives; all others are ignored, as by PX4."""
+"""Reception of each message that the mock knows; all others are ignored, as by PX4."""
 
 from __future__ import annotations
 

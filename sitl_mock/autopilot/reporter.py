@@ -1,4 +1,4 @@
-"""What the vehicle reports of itself: snapshots for the streams and for messages that are requested once."""
+"""Reports of the vehicle about itself: snapshots for the streams and for messages that are requested once."""
 
 from __future__ import annotations
 

@@ -332,7 +332,7 @@ class SimulatedVehicle:
         return min(self._step, len(self._loop.records) - 1)
 
     def _of_rotors(self, name: str) -> Floats:
-        """What the rotors' sensors read: as old as these are."""
+        """Readings of the rotors' sensors: as old as these are."""
         part: Floats = self._records[name][self._row(min(self._rotor_age, self._oldest))].copy()
         return part
 

@@ -27,7 +27,7 @@ def _level() -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ControlSetpoint:
-    """What the vehicle flies until it receives another setpoint.
+    """Setpoint that the vehicle flies until it receives another one.
 
     kind: idle (armed, rotors at minimum speed), rates, attitude, or a position mode that the vehicle flies by itself:
         hold (to position_world where finite, by velocity_world where that is finite instead, otherwise where it was

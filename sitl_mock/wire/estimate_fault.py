@@ -1,4 +1,4 @@
-"""What goes wrong between the estimator and the wire: resets, invalid numbers, a frozen or missing estimate."""
+"""Faults between the estimator and the wire: resets, invalid numbers, a frozen or missing estimate."""
 
 from __future__ import annotations
 

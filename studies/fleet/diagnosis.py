@@ -64,7 +64,7 @@ def killed_log(task: FleetTask) -> FleetFlight:
     return msgspec.structs.replace(
         task.empty,
         status="failed",
-        error="its worker ended by itself twice, killed or out of memory. Give fewer --workers, or cut the log; the "
+        error="its worker process died twice, killed or out of memory. Give fewer --workers, or cut the log; the "
         "next run tries it again.",
     )
 

@@ -12,14 +12,14 @@ LINES, TABLE, LOCK, ABOUT = "flights.jsonl", "flights.parquet", "flights.lock", 
 
 
 class FleetAbout(msgspec.Struct, frozen=True):
-    """What the lines are of. folder: of the logs, absolute. count: of the logs at the last run's start."""
+    """Origin of the lines. folder: of the logs, absolute. count: of the logs at the last run's start."""
 
     folder: str
     count: int
 
 
 def read_about(folder: Path) -> FleetAbout | None:
-    """What the lines of a folder are of; None for results of older versions."""
+    """Origin of the lines in a folder; None for results of older versions."""
     try:
         return decode_json((folder / ABOUT).read_bytes(), FleetAbout)
     except (OSError, msgspec.MsgspecError):

@@ -91,7 +91,7 @@ def find_fleet(
 
 
 def no_vehicle(folder: Path) -> str:
-    """What to do for a log without a vehicle."""
+    """Advice for a log without a vehicle."""
     return (
         f"no {VEHICLE} at or above this log inside of {folder}. Put one there (alula vehicle new, alula vehicle "
         "from-log), or give --vehicle for all logs."

@@ -130,7 +130,7 @@ def _is_done(flight: FleetFlight | None, task: FleetTask) -> bool:
 
 
 def _shared_settings(options: FleetOptions) -> str:
-    """What decides all results besides log and vehicle. Raises RequestError for a mapping that cannot be read."""
+    """Settings that decide all results besides log and vehicle. Raises RequestError for an unreadable mapping."""
     try:
         mapping = "" if options.mapping is None else options.mapping.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""What a fleet's table shows: verdicts by vehicle, parameters that drift over the dates, flights unlike the others.
+"""Summary of a fleet's table: verdicts by vehicle, parameters that drift, flights unlike the others.
 
 Pure functions on flights. Drift: slope by Theil and Sen with its interval (Sen, Estimates of the regression coefficient
 based on Kendall's tau, JASA 1968), tested by Kendall's tau, over all tests of the fleet with the false discovery rate

@@ -1,4 +1,4 @@
-"""What a fleet shows, in sentences."""
+"""Findings about a fleet, in sentences."""
 
 from __future__ import annotations
 

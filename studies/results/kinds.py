@@ -40,7 +40,7 @@ def kind_of(path: Path) -> str:
 
 
 def stamp(path: Path) -> str:
-    """What changes whenever a result does: times and sizes of its files. Raises RequestError as `kind_of`."""
+    """Stamp of a result, which changes with it: times and sizes of its files. Raises RequestError as `kind_of`."""
     stamps = []
     for file in _files(path, kind_of(path)):
         try:

@@ -1,4 +1,4 @@
-"""What a page shows of a result: sentences, pictures, tables, and the logs that can be opened."""
+"""Content of a page about a result: sentences, pictures, tables, and the logs that can be opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the cells in a sweep's folder are of."""
+"""Origin of the cells in a sweep's folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ABOUT = "sweep.about"
 
 
 class SweepAbout(msgspec.Struct, frozen=True):
-    """What the cells of a folder are of. along: the quantities in which they differ. count: of the cells."""
+    """Origin of the cells of a folder. along: the quantities in which they differ. count: of the cells."""
 
     study: str
     along: tuple[str, ...]
@@ -20,7 +20,7 @@ class SweepAbout(msgspec.Struct, frozen=True):
 
 
 def read_about(folder: Path) -> SweepAbout | None:
-    """What the cells of a folder are of; None for a folder that holds no sweep."""
+    """Origin of the cells of a folder; None for a folder that holds no sweep."""
     try:
         return decode_json((folder / ABOUT).read_bytes(), SweepAbout)
     except (OSError, msgspec.MsgspecError):

@@ -87,7 +87,7 @@ Placed = TypeVar("Placed", CellResult, Outcome)
 
 
 class StudyOptions(msgspec.Struct, frozen=True):
-    """What all cells of a study share.
+    """Settings that all cells of a study share.
 
     seeds: of the trainings of each cell.
     recipe: overrides, such as steps and batch.

@@ -21,7 +21,7 @@ from studio.work.results import Added, Diagnosed
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
-    """What can be added, what was added, and by how much the error fell."""
+    """Effects that can be added, those that were, and by how much the error fell."""
     case, parts = opened.case, head(opened, "Add it, and watch the error fall")
     if locked := lock(opened, "add"):
         return dmc.Stack(parts + locked, gap="md")

@@ -49,7 +49,7 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
 
 
 def _waiting(opened: OpenCase) -> list[Any]:
-    """What stands there before the first result."""
+    """Placeholder before the first result."""
     if locked := lock(opened, "compare"):
         return locked
     if opened.job is not None:

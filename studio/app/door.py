@@ -145,7 +145,7 @@ class Door:
         return response
 
     def _redirect(self, request: Request) -> Response:
-        """The same page without the token, which then is in no address bar, no bookmark and no history."""
+        """Redirect to the page without the token, which then is in no address bar, no bookmark and no history."""
         rest = [(name, value) for name, value in request.args.items(multi=True) if name != PARAMETER]
         place = quote(request.path, safe="/") + (f"?{urlencode(rest)}" if rest else "")
         response = self._refusal(303, "")

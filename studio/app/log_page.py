@@ -62,7 +62,7 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
 
 
 def _parts_of_logs(opened: OpenCase, name: str) -> dict[str, Any]:
-    """What depends on the logs and on what was read from them."""
+    """Parts that depend on the logs and on what was read from them."""
     failure, following = [], []
     if opened.failure:
         failure.append(message(opened.failure, title="The last step failed", colour="red"))

@@ -61,7 +61,7 @@ class OpenCase:
 
     @property
     def job(self) -> Job | None:
-        """What runs now."""
+        """Job that runs now."""
         return self._job
 
     @property

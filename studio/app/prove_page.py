@@ -27,7 +27,7 @@ UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
-    """What the additions are worth on flights that nothing was fitted to, and in the controller."""
+    """Gain of the additions on flights that nothing was fitted to, and in the controller."""
     parts = head(opened, "Prove it")
     if locked := lock(opened, "prove"):
         return dmc.Stack(parts + locked, gap="md")

@@ -14,7 +14,7 @@ RUNNING = "It is flown again; this takes about a tenth of the flight's time."
 
 
 class Replays:
-    """What is known of each recording's replay, in sentences."""
+    """Replays of recordings and their outcomes, in sentences."""
 
     def __init__(self) -> None:
         self._lines: dict[Path, list[str]] = {}

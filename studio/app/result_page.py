@@ -51,7 +51,7 @@ def layout(studio: Studio, path: Path, scheme: str) -> Any:
 
 
 def signature(studio: Studio, path: Path) -> str:
-    """What the page shows; it is redrawn when this changes."""
+    """Signature of the page; it is redrawn when this changes."""
     try:
         return repr((stamp(path), studio.replays.lines(path)))
     except AlulaError as error:

@@ -173,7 +173,7 @@ def _show_result(studio: Studio, path: str, scheme: str, last: str | None) -> tu
 
 
 def signature_of(opened: OpenCase, page: str) -> str:
-    """What a page shows; while it stays the same the page is left as the user has it."""
+    """Signature of a page; while it stays the same the page is left as the user has it."""
     case = opened.case
     state = case.state
     if page == "log":  # what is read from the logs has parts of its own
@@ -197,7 +197,7 @@ def signature_of(opened: OpenCase, page: str) -> str:
 
 
 def _look(studio: Studio, path: str, last: Any) -> tuple[Any, Any]:
-    """What runs, and whether anything changed."""
+    """Running job, and whether anything changed."""
     result = studio.results.get(result_of(path))
     if result is not None:
         revision: Any = result_page.signature(studio, result)

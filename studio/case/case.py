@@ -289,7 +289,7 @@ class Case:
             return True
 
     def key(self, step: str, version: Version | None = None) -> str:
-        """What a step's result depends on, as a digest; of a step and a part of it, "diagnose:mass", likewise.
+        """Digest of a step's inputs; of a step and a part of it, "diagnose:mass", likewise.
 
         Logs and the way they are read for the check; the vehicle too for all that follows; for the proof also the
         vehicle that the current one goes back to. version: instead of the current one.

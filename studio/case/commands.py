@@ -1,4 +1,4 @@
-"""What a page did as command lines, and the way from the logs to the present version as a script."""
+"""Command lines of a page's actions, and the way from the logs to the present version as a script."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `case.json` of a case's folder holds."""
+"""Content of a case's `case.json`."""
 
 from __future__ import annotations
 

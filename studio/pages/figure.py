@@ -77,7 +77,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Choice:
-    """What one entry of a picture's menu shows: the places of its lines, and changes of layout such as a unit."""
+    """Entry of a picture's menu: the places of its lines, and changes of layout such as a unit."""
 
     name: str
     lines: Collection[int]

@@ -41,7 +41,7 @@ class FlownTrack:
 
 @dataclass(frozen=True, eq=False)
 class FlownComparison:
-    """The same manoeuvre flown with the model before and after effects were added to it.
+    """Manoeuvre flown with the model before and after effects were added to it.
 
     name: of the manoeuvre.
     before, after: the two flights.
@@ -128,7 +128,7 @@ def _sides(flown: Sequence[FlownComparison]) -> tuple[tuple[str, str, list[Flown
 
 
 def _path(figure: go.Figure, position: Floats, name: str, colour: str, width: float) -> None:
-    """The same path from above (x, y) and from the side (x, z)."""
+    """Path from above (x, y) and from the side (x, z)."""
     for row, axis in ((1, 1), (2, 2)):
         rows = thinned([position[:, 0], position[:, axis]], MAX_POINTS)
         drawn = line(

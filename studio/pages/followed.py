@@ -53,7 +53,7 @@ def followed_picture(flight: FollowedFlight, effects: Sequence[FollowedEffect] =
 
 
 def effects_of(flight: FollowedFlight, diagnosis: Diagnosis) -> list[FollowedEffect]:
-    """What a diagnosis says of one flight's followed effects."""
+    """Verdict of a diagnosis on one flight's followed effects."""
     return [effect for effect in diagnosis.in_flight if effect.flight == flight.path.name]
 
 

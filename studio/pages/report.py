@@ -122,7 +122,7 @@ def add_command(
 
 
 def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
-    """What the page of a comparison shows."""
+    """Content of the page of a comparison."""
     rows = compared.residuals
     view = overlay(dataset.everything, rows, rows, compared.regression)
     both = agreement(rows)
@@ -140,7 +140,7 @@ def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
 
 
 def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
-    """What the sections on a diagnosis show."""
+    """Content of the sections on a diagnosis."""
     regression, selection = result.regression, result.selection
     floor, thresholds = regression.noise.floor, regression.thresholds
     rows = [*regression.rows, *result.before]

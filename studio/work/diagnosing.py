@@ -77,7 +77,7 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
 
 
 def _ranking(details: DiagnosisDetails, catalogue: Mapping[str, Effect]) -> tuple[RankedEffect, ...]:
-    """What was tried: effects that are named first, then the others by their score."""
+    """Candidates that were tried: effects that are named first, then the others by their score."""
     diagnosis = details.diagnosis
     order = {"named": 0, "refused": 1}
     ranked = [_ranked(item, diagnosis, catalogue) for item in diagnosis.candidates]

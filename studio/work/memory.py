@@ -1,4 +1,4 @@
-"""What a worker keeps in memory from one step of a case to the next: logs, data set, diagnosis; one of each."""
+"""Memory of a worker from one step of a case to the next: logs, data set, diagnosis; one of each."""
 
 from __future__ import annotations
 

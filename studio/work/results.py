@@ -1,4 +1,4 @@
-"""What the steps of a case write beside their tables, as JSON."""
+"""Results of the steps of a case beside their tables, as JSON."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class Slider(msgspec.Struct, frozen=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """What one effect alone explains.
+    """Explained error of one effect alone.
 
     key: the effect; value: fitted values in words.
     score: as in the ranking.

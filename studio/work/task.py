@@ -1,4 +1,4 @@
-"""What a worker is asked to do, and what it answers."""
+"""Requests to a worker, and its answers."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from typing import Literal
 from dynamics.approvals import Kind
 from dynamics.errors import AlulaError
 from dynamics.trust import approve_here, approved_here
-from flights.parallel import end_with_parent
+from flights.parallel import end_with_parent, holding_interrupts
 from studio.work.task import Task
 
 MAX_TASKS = 40  # of one process: CasADi's functions are never given back to the system
@@ -89,7 +89,7 @@ class Worker:
         advice = (
             f"It may take {self.memory / 2**30:.1f} GB (`alula studio --memory`). The next step starts a new process."
         )
-        return Outcome("failed", f"the working process ended by itself (exit code {code}). {advice}")
+        return Outcome("failed", f"the worker process died (exit code {code}). {advice}")
 
     def _start(self) -> None:
         # spawned rather than forked: the server's threads may hold locks
@@ -98,7 +98,8 @@ class Worker:
         self._process = context.Process(
             target=serve, args=(theirs, self.memory, approved_here()), daemon=True, name="alula studio worker"
         )
-        self._process.start()
+        with holding_interrupts():
+            self._process.start()
         theirs.close()
         self._tasks = 0
 

@@ -1,18 +1,15 @@
 """The user's own test: an effect is hidden, and the command line alone must identify it, add it, and be right.
 
 The draws are those of one seed; ALULA_ACCEPTANCE_SEED=N takes another one. `benchmarks/hidden_effect_draws.py` draws
-random seeds.
+random seeds. Of the draws `make test` tries one, `make test-all` each.
 """
 
 import os
-from concurrent.futures import ProcessPoolExecutor
 from functools import cache
-from multiprocessing import get_context
 
 import pytest
 
 from fixtures.hidden_effect import Draw, Outcome, try_command_line, yardstick
-from runtime.realtime import LIBRARY_THREADS
 
 DRAWS, MUST_HOLD = 3, 2
 pytestmark = pytest.mark.timeout(1200)  # a draw takes 20 s of processor time, of which a busy machine gives a fraction
@@ -21,26 +18,15 @@ SEED = int(os.environ.get("ALULA_ACCEPTANCE_SEED", "1"))
 
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
-    """The command line's outcome of a draw, by its number, each computed once; number -1 hides nothing.
-
-    Two processes compute the draws at the same time, and this one the draw that hides nothing.
-    """
+    """The command line's outcome of a draw, by its number, each computed once; number -1 hides nothing."""
     measured = yardstick(SEED)
-    draws = [Draw.random(SEED, number) for number in range(DRAWS)]
-    folders = [tmp_path_factory.mktemp("flights") for _ in draws]
-    with ProcessPoolExecutor(min(2, DRAWS), mp_context=get_context("spawn")) as pool:
-        with pytest.MonkeyPatch.context() as patch:  # the processes start with the environment of their first task
-            for name in LIBRARY_THREADS:
-                patch.setenv(name, "1")  # they share the processors with each other already
-            futures = [
-                pool.submit(try_command_line, draw, measured, folder)
-                for draw, folder in zip(draws, folders, strict=True)
-            ]
-        nothing = cache(
-            lambda: try_command_line(Draw("", 0.0, 1.0, SEED), measured, tmp_path_factory.mktemp("flights"))
-        )
-        yield lambda number: nothing() if number < 0 else futures[number].result()
-        pool.shutdown(cancel_futures=True)
+
+    @cache
+    def computed(number: int) -> Outcome:
+        draw = Draw.random(SEED, number) if number >= 0 else Draw("", 0.0, 1.0, SEED)
+        return try_command_line(draw, measured, tmp_path_factory.mktemp("flights"))
+
+    return computed
 
 
 @pytest.fixture
@@ -63,11 +49,12 @@ def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_f
     assert result.added is None
 
 
-@pytest.mark.parametrize("number", range(DRAWS))
+@pytest.mark.parametrize("number", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, DRAWS))])
 def test_no_draw_ends_in_an_error_or_a_worse_model(printed_outcome, number):
     assert printed_outcome(number).faults == ()
 
 
+@pytest.mark.slow
 def test_most_hidden_effects_are_located_named_and_added_until_only_noise_is_left(outcome):
     results = [outcome(number) for number in range(DRAWS)]
     held = [not (o.faults or o.misses) for o in results]

@@ -277,7 +277,7 @@ def test_a_gain_of_commands_that_is_surely_not_one_has_what_may_be_behind_it(pla
     gain = diagnosis.command_gain
     assert gain.value == pytest.approx(1 / factor, abs=max(0.01, 2 * gain.std))
     assert gain.look_alikes == behind
-    assert ("thrust_constant or mass may be behind it" in sentence(diagnosis)) is bool(behind)
+    assert ("Possible causes: thrust_constant or mass" in sentence(diagnosis)) is bool(behind)
     assert diagnosis.verdict == ("ambiguous" if behind else "explained")
     if not behind:
         assert diagnosis.effects == ()

@@ -1,8 +1,8 @@
 """The commands that pages show are run, a page's in their order, in a folder that holds what the pages name.
 
-Tutorials are followed by tests of their own. What takes long is shortened (`SHORTER`), words that stand for a reader's
-own files are replaced (`STANDS_FOR`), and a command that another page has run is not run again. Whatever is linked to a
-vehicle runs on loopback, beside the mock that the page starts.
+README and tutorials are followed by tests of their own. What takes long is shortened (`SHORTER`), words that stand for
+a reader's own files are replaced (`STANDS_FOR`), and a command that another page has run is not run again. Whatever is
+linked to a vehicle runs on loopback, beside the mock that the page starts.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ INSTEAD = {  # folders that hold something else on a page
 
 
 def commands_of_pages(*, tutorials: bool) -> dict[str, list[str]]:
-    """Page to its commands in their order, of the tutorials or of all other pages."""
-    followed = {page.name for page in TUTORIALS.glob("*.md")}
+    """Page to its commands in their order, of the tutorials and README or of all other pages."""
+    followed = {"README.md", *(page.name for page in TUTORIALS.glob("*.md"))}
     pages: dict[str, list[str]] = {}
     for page, text in [*commands_in_blocks(), *commands_of_units()]:
         if (page in followed) == tutorials and text not in NOT_RUN:
@@ -181,7 +181,14 @@ def runs_here(text: str) -> bool:
     return not (is_linked(text) or is_served(text))
 
 
-@pytest.mark.parametrize("page", [page for page in COMMANDS if any(map(runs_here, COMMANDS[page]))])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[] if page == "README.md" else pytest.mark.slow)
+        for page in COMMANDS
+        if any(map(runs_here, COMMANDS[page]))
+    ],
+)
 def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
     for name, replacement in INSTEAD.get(page, {}).items():
         shutil.rmtree(name)
@@ -196,6 +203,7 @@ def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
         assert "Traceback" not in wrong
 
 
+@pytest.mark.slow
 def test_the_studio_of_a_page_answers_until_it_is_ended(here: Path) -> None:
     for text in (text for texts in COMMANDS.values() for text in texts if is_served(text)):
         command = [sys.executable, "-m", "alula", *words_of(text), "--cases", "cases", "--port", "0", "--no-browser"]
@@ -265,6 +273,7 @@ def start(page: str, text: str) -> str:
         return f"{page}: {text}\n{error}"
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 def test_whatever_needs_a_vehicle_runs_beside_a_mock(here: Path, run: Run) -> None:
     jobs = {run_key(words_of(text)): (page, text) for page in COMMANDS for text in COMMANDS[page] if is_linked(text)}

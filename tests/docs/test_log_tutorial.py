@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tests.support.tutorial import follow, prepare
+from tests.support.tutorial import TUTORIALS, follow, prepare
 
 
 def test_every_step_works_and_prints_what_is_shown(tmp_path: Path) -> None:
     prepare(tmp_path)
-    follow("log_to_effect.md", tmp_path, against_clock=False)
+    follow(TUTORIALS / "log_to_effect.md", tmp_path, against_clock=False)

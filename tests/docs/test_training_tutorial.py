@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.tutorial import follow, prepare
+from tests.support.tutorial import TUTORIALS, follow, prepare
 
-NAME = "training_to_flight.md"
+PAGE = TUTORIALS / "training_to_flight.md"
 
 
 @pytest.fixture(scope="session")  # a repeated flight needs no second training
@@ -15,7 +15,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the tutorial was followed up to its flight."""
     folder = tmp_path_factory.mktemp("tutorial")
     prepare(folder)
-    follow(NAME, folder, against_clock=False)
+    follow(PAGE, folder, against_clock=False)
     return folder
 
 
@@ -26,4 +26,4 @@ def test_every_step_works_and_prints_what_is_shown(folder: Path) -> None:
 @pytest.mark.realtime
 def test_its_flight_lands(folder: Path) -> None:
     shutil.rmtree(folder / "recordings", ignore_errors=True)
-    follow(NAME, folder, against_clock=True)
+    follow(PAGE, folder, against_clock=True)

@@ -74,7 +74,7 @@ def build_program(network: Network, model: Model, folder: Path) -> Path:
     run(COMPILER, *flags, "-c", "program.c", "-o", "program.o")
     missing = run("aarch64-linux-gnu-nm", "--undefined-only", "program.o").split()
     stands = {name: "absent" for name in missing if name.startswith(("d_dense_qp", "blasfeo"))}
-    stands["d_dense_qp_ipm_solve"] = "asked"
+    stands["d_dense_qp_ipm_solve"] = "solved"
     run(
         COMPILER,
         "-static",

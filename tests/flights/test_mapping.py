@@ -75,7 +75,7 @@ def test_units_frames_and_orders_are_turned_into_ours(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        ('"mm"', '"inch"', "unit 'inch' is none of m, mm, cm"),
+        ('"mm"', '"inch"', "unknown unit 'inch'; expected m, mm or cm"),
         ('order = "xyzw"', "", "give order"),
         ('quantity = "rate"', 'quantity = "rat"', "did you mean 'rate'"),
         ('["p", "q", "r"]', '["p", "q"]', "rate has 3 columns; 2 are given"),

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from dynamics.errors import DataError, RequestError, VehicleError
@@ -41,7 +42,7 @@ def test_what_the_function_raises_is_raised(jobs: int) -> None:
 
 
 def test_a_killed_process_is_named() -> None:
-    with pytest.raises(VehicleError, match="a working process ended by itself"):
+    with pytest.raises(VehicleError, match="a worker process died"):
         list(parallel_map(die, [1, 2], jobs=2))
 
 
@@ -180,3 +181,44 @@ def test_an_interrupt_does_not_wait_for_running_items(whole_group: bool, tmp_pat
         assert time.monotonic() - began < 0.2 * WORK
     assert process.returncode != 0
     assert wrong.count("Traceback") <= 1, wrong  # the script's own, none of a working process
+
+
+STARTING = """
+import time
+from contextlib import suppress
+
+def start():
+    HOW
+
+if __name__ == "__main__":
+    with suppress(KeyboardInterrupt):
+        print("starting", flush=True)
+        start()
+"""
+IN_A_POOL = "from flights.parallel import parallel_map\n    list(parallel_map(time.sleep, [240.0] * 4, jobs=2))"
+BESIDE_A_TRAINING = """from training.reports import progress_channel
+    with progress_channel(print):
+        time.sleep(240.0)"""
+BEHIND_THE_STUDIO = """from studio.work.worker import Worker
+    Worker(memory=2**32)
+    time.sleep(240.0)"""
+
+
+@pytest.mark.parametrize("how", [IN_A_POOL, BESIDE_A_TRAINING, BEHIND_THE_STUDIO], ids=["pool", "training", "studio"])
+@pytest.mark.parametrize("after", [0.1, 0.4, 0.8])
+def test_a_process_that_is_starting_prints_no_traceback_of_an_interrupt(how: str, after: float, tmp_path: Path) -> None:
+    script = tmp_path / "starting.py"
+    script.write_text(STARTING.replace("HOW", how))
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
+    with subprocess.Popen(
+        [sys.executable, script],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "starting\n"
+        while not any("spawn_main" in " ".join(child.cmdline()) for child in psutil.Process(process.pid).children()):
+            time.sleep(0.01)
+        time.sleep(after)  # while it imports
+        os.killpg(process.pid, signal.SIGINT)
+        _, wrong = process.communicate(timeout=120)
+    assert "Traceback" not in wrong

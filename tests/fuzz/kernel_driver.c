@@ -66,7 +66,7 @@ static kernel *fresh(void) {
     return r;
 }
 
-/* What only one kind of kernel has. */
+/* Functions that only one kind of kernel has. */
 #if LEARNED
 static void special(kernel *r) {
     double x[NX], u[NU], out[6 * 8], columns[8 * COLUMN_ENTRIES];

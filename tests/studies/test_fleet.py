@@ -377,7 +377,7 @@ def test_a_log_that_kills_its_workers_fails_alone(tmp_path: Path) -> None:
     task = FleetTask(tmp_path / "a.csv", FleetFlight("a.csv", "refused"), VEHICLE)
     failed = killed_log(task)
     assert failed.status == "failed"
-    assert "ended by itself twice" in failed.error
+    assert "died twice" in failed.error
     missing = diagnose_log(task)
     assert missing.status == "failed"
     assert "cannot read a.csv" in missing.error

@@ -80,9 +80,9 @@ def test_a_recording_shows_tracking_timing_and_states() -> None:
     phases = [(row["time"], row["phase"]) for row in messages[TOPICS[PhaseRecord]]]
     begin = next(time for time, phase in phases if phase == TRACKED)
     end = next(time for time, _ in phases if time > begin)
-    reference = {row["time"]: row["position_world"] for row in messages[TOPICS[ReferenceRecord]]}
-    flown = {row["time"]: row["position_world"] for row in messages[TOPICS[EstimateRecord]] if row["time"] in reference}
-    distances = [math.dist(flown[time], reference[time]) for time in flown if begin <= time < end]
+    planned = {row["time"]: row["position_world"] for row in messages[TOPICS[ReferenceRecord]]}
+    flown = {row["time"]: row["position_world"] for row in messages[TOPICS[EstimateRecord]] if row["time"] in planned}
+    distances = [math.dist(flown[time], planned[time]) for time in flown if begin <= time < end]
     rms = 100 * math.sqrt(statistics.fmean(distance**2 for distance in distances))
     assert shown.lines[0] == (
         f"Position error while it tracked: {rms:.1f} cm RMS, {100 * max(distances):.1f} cm at most, by its estimate."

@@ -8,7 +8,7 @@
 #include "network.c"
 
 long absent(void) { return 0; }
-void asked(void) { exit(3); }
+void solved(void) { exit(3); }
 
 static void pull(void *to, size_t bytes) {
     if (fread(to, 1, bytes, stdin) != bytes) exit(2);

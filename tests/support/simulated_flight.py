@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
+from fixtures.flight_store import stored
 from flights import Flight
 from flights.log import Log, Stream
 from simulation.lockstep import FlownReference, fly_reference
@@ -19,6 +20,10 @@ from sitl_mock.vehicle.vehicle import VehicleOptions
 @lru_cache(maxsize=2)
 def flown(reference: str = "Lemniscate:laps=9", seed: int = 1) -> FlownReference:
     """Some twenty seconds of a reference with sensor noise and drag that the controller does not know."""
+    return stored(partial(_fly, reference, seed), "simulated flight", reference, seed)
+
+
+def _fly(reference: str, seed: int) -> FlownReference:
     vehicle = read_vehicle("vehicles/arpl_250g.toml")
     track = named_reference(reference, vehicle)
     start = track.states(np.zeros(1))[0]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from dynamics.references import named_reference
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
+from fixtures.flight_store import stored
 from flights import Flight
 from simulation.lockstep import fly_reference
 
@@ -19,7 +21,9 @@ def fly_campaign(folder: Path, vehicle: Vehicle, effects: Sequence[str], flights
     (folder / "campaign.json").write_text(json.dumps({"effects": [*effects, "gust:intensity=0.1"]}))
     uses = [parse_effect(text, vehicle.rotors.count) for text in effects]
     for place, (name, text) in enumerate(flights.items()):
-        flown = fly_reference(vehicle, named_reference(text, vehicle), effects=uses, seed=place, name=name)
+        reference = named_reference(text, vehicle)
+        fly = partial(fly_reference, vehicle, reference, effects=uses, seed=place, name=name)
+        flown = stored(fly, "small campaign", vehicle, text, uses, place, name)
         path = folder / f"{name}.parquet"
         path.parent.mkdir(exist_ok=True)
         Flight.from_log(flown.log, rate=100).to_parquet(path)

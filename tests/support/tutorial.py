@@ -1,7 +1,7 @@
-"""Follows a tutorial of docs/tutorials as a reader does: every command and snippet, in order, in a folder of its own.
+"""Follows README or a tutorial of docs/tutorials as a reader does: in order, in a folder of its own.
 
 A comment `# shorter: COMMAND` below a command, which readers see as well, is what runs in its place. A block of text
-that follows shows lines of the output, compared as `shown_lines` says.
+that follows shows lines of the output, compared as `shown_lines` says; a block of `console` is not run: it installs.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from tests.support.shown_lines import Shown, blocks_of, missing
 ROOT = Path(__file__).parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
 SHORTER = "# shorter: "
+NOT_RUN = ("", "console")  # drawings, and what installs
 PATIENCE = 280.0  # s for one block
 
 
-def blocks(name: str) -> list[tuple[str, str, list[Shown]]]:
-    """Language, text and shown output of each block of a tutorial."""
+def blocks(page: Path) -> list[tuple[str, str, list[Shown]]]:
+    """Language, text and shown output of each block of a page that is run."""
     steps: list[tuple[str, str, list[Shown]]] = []
-    for language, text, tolerance in blocks_of((TUTORIALS / name).read_text(encoding="utf-8")):
+    for language, text, tolerance in blocks_of(page.read_text(encoding="utf-8")):
         if language == "text":
             steps[-1][2].extend(Shown(line, tolerance) for line in text.splitlines())
-        else:
+        elif language not in NOT_RUN:
             steps.append((language, text, []))
     return steps
 
@@ -44,13 +45,23 @@ def prepare(folder: Path) -> None:
         (folder / name).symlink_to(ROOT / name)
 
 
-def follow(name: str, folder: Path, *, against_clock: bool) -> None:
-    """Run the blocks that fly against the clock, or all others; fails where a command or a line of output differs."""
-    for language, text, shown in blocks(name):
+def follow(page: Path, folder: Path, *, against_clock: bool, port: int | None = None) -> None:
+    """Run the blocks that fly against the clock, or all others; fails where a command or a line of output differs.
+
+    port: of the link between mock and controller in place of the usual one, which another test may have.
+    """
+    for language, text, shown in blocks(page):
         if needs_clock(text) == against_clock:
-            output = run(language, text, folder)
+            output = run(language, text if port is None else on_port(text, port), folder)
             others = missing(shown, output)
-            assert others == [], f"{name} shows {others}, which is not in:\n{output}"
+            assert others == [], f"{page.name} shows {others}, which is not in:\n{output}"
+
+
+def on_port(text: str, port: int) -> str:
+    """Commands whose mock and controller meet at another port of this machine."""
+    for command, kind in (("alula mock", "udpout"), ("alula fly", "udpin")):
+        text = text.replace(f"{command} ", f"{command} --link {kind}:127.0.0.1:{port} ")
+    return text
 
 
 def run(language: str, text: str, folder: Path) -> str:

@@ -101,7 +101,7 @@ def read_logged_flights(
 
 
 def names_of(paths: Sequence[Path]) -> tuple[str, ...]:
-    """What flights are called: their files' names, or with folders as well where several have the same name."""
+    """Names of flights: their files' names, or with folders as well where several have the same name."""
     names = [path.name for path in paths]
     return tuple(name if names.count(name) == 1 else str(path) for name, path in zip(names, paths, strict=True))
 

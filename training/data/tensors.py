@@ -1,4 +1,4 @@
-"""What a network learns from as standardised tensors on one device, stored once; windows are index arithmetic."""
+"""Training data as standardised tensors on one device, stored once; windows are index arithmetic."""
 
 from __future__ import annotations
 

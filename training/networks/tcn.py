@@ -39,7 +39,7 @@ class CausalConvolution(nn.Module):
         return self.activate(self.linear(taps))
 
     def activate(self, sums: Tensor) -> Tensor:
-        """What follows the linear map. sums: (m, positions, channels)."""
+        """Activation after the linear map. sums: (m, positions, channels)."""
         activated = torch.relu(sums)
         if self.norm is not None:
             activated = self.norm(activated.flatten(0, 1)).view_as(activated)

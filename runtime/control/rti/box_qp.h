@@ -58,7 +58,7 @@ static inline __attribute__((always_inline)) void box_tile(box_factor *f, int fi
         }
 }
 
-/* The same tile divided by the factored block on the diagonal. */
+/* A tile divided by the factored block on the diagonal. */
 static inline __attribute__((always_inline)) void box_divide(box_factor *f, int first, int row, const int vectors,
                                                              const double corner[BLOCK][BLOCK],
                                                              box_vector sums[BLOCK][TILE]) {

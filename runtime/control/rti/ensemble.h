@@ -1,4 +1,4 @@
-/* What an ensemble's members make of one window: how far they disagree, and so how much of a residual is flown.
+/* Spread of an ensemble's members over one window: how far they disagree, and so how much of a residual is flown.
  *
  * Part of network.c. Once a tick, on measured columns; it is not differentiated, and holds over the horizon. The members
  * that do not fly are evaluated over the receptive cone of the newest column alone, in the memory of the roll-out, which

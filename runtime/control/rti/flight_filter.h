@@ -1,4 +1,4 @@
-/* What the model misses in flight: a Kalman filter of a disturbance, on velocities and rates; derived in
+/* Disturbance beyond the model in flight: a Kalman filter of a disturbance, on velocities and rates; derived in
  * docs/adaptation.md.
  *
  * State: velocity (world) and rate (body); the part of the disturbance that stays, then the one that fades (linear
@@ -33,7 +33,7 @@ typedef struct {
     int group[MAX_FOLLOWED];  /* 1 a drag, 2 the air, 3 thrust, 0 another */
 } filter_options;
 
-/* What happened between two estimates, for the guard. */
+/* Motion between two estimates, for the guard. */
 typedef struct {
     double seconds, staying[AXES], fading[AXES]; /* the disturbance as it was at the first */
     double beyond[AXES], beyond_file[AXES];      /* what velocity and rate changed by beyond both models */
@@ -157,7 +157,7 @@ static double filter_significance(const flight_filter *f) {
     return square > variance ? 1 - variance / square : 0;
 }
 
-/* What predictions are to have of the disturbance: both parts (2 AXES), as far as they are trusted. */
+/* Disturbance that predictions are to have: both parts (2 AXES), as far as they are trusted. */
 static void filter_flown(const flight_filter *f, double moments, double *flown) {
     const double significance = filter_significance(f);
     for (int i = 0; i < AXES; i++) {

@@ -309,7 +309,7 @@ void rti_accelerations(network *r, const double *x, const double *u, double *acc
     memcpy(accelerations + 3, r->angular[0], sizeof r->angular[0]);
 }
 
-/* The same for `count` consecutive columns (COLUMN_ENTRIES each); the layers' memories advance by one column each. */
+/* As above, for `count` consecutive columns (COLUMN_ENTRIES each); the layers' memories advance by one column each. */
 void rti_stream(network *r, const double *columns, int count, double *accelerations) {
     double hidden[HIDDEN_STATES + 1];
     load_history(r);

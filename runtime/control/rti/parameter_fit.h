@@ -15,13 +15,13 @@
 #define FIT_BLOCK 0.1       /* s */
 #define FIT_STEP 0.002      /* s over which the model's acceleration at a row is averaged */
 #define FIT_AT_A_TICK 3     /* rows */
-#define FIT_FEWEST 10       /* rows */
-#define FIT_LARGEST_MOVE 0.5 /* of a parameter in one sweep, in standard deviations of its prior */
+#define FIT_MIN_ROWS 10     /* rows */
+#define FIT_MAX_STEP 0.5 /* of a parameter in one sweep, in standard deviations of its prior */
 #define FIT_SHOWN 0.5 /* of the prior's deviation, below which the rows have shown a parameter */
 #define FIT_FREE_OFFSET 10.0 /* m/s^2, prior of the offset while the wind is not followed */
 #define FIT_DELAY 5          /* rows, and FIT_DELAYS times as many: by which slopes are delayed */
 #define FIT_DELAYS 8
-#define FIT_LEAST_SHARE 0.2  /* of a delayed slope's variation that it has not in common with the slope */
+#define FIT_MIN_INDEPENDENT 0.2 /* of a delayed slope's variation that it has not in common with the slope */
 #define FIT_MEAN 30          /* rows, over which the air is averaged for its change */
 #define FIT_CHANGED 4.5      /* standard deviations of a step of such means, beyond which the air has changed */
 #define FIT_SECOND 10        /* rows */
@@ -117,12 +117,12 @@ static bool fit_add(parameter_fit *t, const flight_filter *f, const double *stat
     return true;
 }
 
-/* Whitening of an axis's z - keep z_before: by `mean` of the whitened one before, to the share `least` of z's variance.
- * share: of the fading part in that variance. */
-static void fit_whitening(double keep, double share, double *mean, double *least) {
+/* Whitening of an axis's z - keep z_before: by `mean` of the whitened one before, to the share `innovation` of z's
+ * variance. share: of the fading part in that variance. */
+static void fit_whitening(double keep, double share, double *mean, double *innovation) {
     const double own = share * (1 - keep * keep) + (1 - share) * (1 + keep * keep), next = (1 - share) * keep;
     *mean = fabs(next) > 1e-9 ? (own - sqrt(fmax(own * own - 4 * next * next, 0))) / (2 * next) : 0;
-    *least = own / (1 + *mean * *mean);
+    *innovation = own / (1 + *mean * *mean);
 }
 
 /* Take a row into the sweep. left: (3) what the parameters leave. slopes: (3, n) of the model's acceleration. before:
@@ -134,20 +134,20 @@ static void fit_take(parameter_fit *t, const filter_options *o, const double *le
     for (int i = 0; i < 3; i++) {
         const double keep = exp(-FIT_BLOCK / o->fading_time[i]), away = left[i] - t->offset[before][i];
         const double limit = FIT_OUTLIER * sqrt(t->variance[i]);
-        double mean, least, white, column[COLUMNS], white_column[COLUMNS];
+        double mean, innovation, white, column[COLUMNS], white_column[COLUMNS];
         for (int s = 0; s < FIT_SHARES; s++) {
             double *trial = &t->trial_white[i][s];
-            fit_whitening(keep, FIT_SHARE[s], &mean, &least);
-            *trial = joined ? away - keep * t->left[i] + mean * *trial : sqrt(least) * away;
+            fit_whitening(keep, FIT_SHARE[s], &mean, &innovation);
+            *trial = joined ? away - keep * t->left[i] + mean * *trial : sqrt(innovation) * away;
             t->trial_square[i][s] += fmin(*trial * *trial, limit * limit);
         }
-        fit_whitening(keep, t->share[i], &mean, &least);
+        fit_whitening(keep, t->share[i], &mean, &innovation);
         memcpy(column, slopes[i], sizeof(double) * n);
         column[n] = !before, column[n + 1] = before;
-        white = joined ? away - keep * t->left[i] + mean * t->white[i] : sqrt(least) * away;
+        white = joined ? away - keep * t->left[i] + mean * t->white[i] : sqrt(innovation) * away;
         for (int j = 0; j < n + 2; j++)
             white_column[j] = joined ? column[j] - keep * t->slopes[i][j] + mean * t->white_slopes[i][j]
-                                     : sqrt(least) * column[j];
+                                     : sqrt(innovation) * column[j];
         const double weight = fmin(limit / fmax(fabs(white), 1e-12), 1); /* Huber's */
         for (int r = 0; r < n + 2; r++) {
             t->right[i][r] += weight * white_column[r] * white;
@@ -285,7 +285,7 @@ static bool fit_step(parameter_fit *t, flight_filter *f, double M[UNKNOWNS][UNKN
     }
     double longest = 0;
     for (int j = 0; j < n; j++) longest = fmax(longest, fabs(step[j]));
-    const double part = longest > FIT_LARGEST_MOVE ? FIT_LARGEST_MOVE / longest : 1;
+    const double part = longest > FIT_MAX_STEP ? FIT_MAX_STEP / longest : 1;
     for (int j = 0; j < n; j++) f->state[FOLLOWED + j] += part * step[j];
     for (int i = 0; i < 6; i++) t->offset[i / 3][i % 3] += part * step[n + i];
     return part == 1;
@@ -309,7 +309,7 @@ static double fit_excess(const parameter_fit *t, int parameter) {
                 common += (slope[k - delay] - mean) * (slope[k] - mean);
             }
             const double own = 1 - common * common / (square * square);
-            if (own < FIT_LEAST_SHARE) continue;
+            if (own < FIT_MIN_INDEPENDENT) continue;
             explained += product * product / (variance * variance), expected += own * square / variance;
         }
     }
@@ -327,7 +327,7 @@ static double fit_mean_variance(double fading, double time, long rows) {
  * common with the next, and with one a second later: a wind that stays has as much in common with both. */
 static long fit_change(const parameter_fit *t, const filter_options *o) {
     const long rows = t->taken, means = rows / FIT_MEAN, start = rows - means * FIT_MEAN;
-    double most = FIT_CHANGED * FIT_CHANGED;
+    double threshold = FIT_CHANGED * FIT_CHANGED;
     long since = 0;
     for (int i = 0; i < 3 && means > 1; i++) {
         const double *left = t->lefts[i], time = o->fading_time[i];
@@ -344,7 +344,7 @@ static long fit_change(const parameter_fit *t, const filter_options *o) {
             for (long k = split - FIT_MEAN; k < split; k++) before += left[k];
             const double step = before / (split - start) - (total - before) / (rows - split);
             const double usual = fit_mean_variance(fading, time, split - start) + fit_mean_variance(fading, time, rows - split);
-            if (step * step > most * usual) most = step * step / usual, since = split;
+            if (step * step > threshold * usual) threshold = step * step / usual, since = split;
         }
     }
     return since;
@@ -356,8 +356,8 @@ static void fit_noise(parameter_fit *t, const filter_options *o) {
         const double mean = t->sum[i] / t->taken, variance = t->square[i] / t->taken - mean * mean;
         const double next = t->product[i] / (t->pairs > 0 ? t->pairs : 1) - mean * mean;
         const double keep = exp(-FIT_BLOCK / o->fading_time[i]);
-        const double least = 0.25 * o->offset * o->offset; /* the attitude's errors fade, too */
-        t->fading[i] = fmin(fmax(next / keep, least), fmax(variance, least));
+        const double minimum = 0.25 * o->offset * o->offset; /* the attitude's errors fade, too */
+        t->fading[i] = fmin(fmax(next / keep, minimum), fmax(variance, minimum));
         int likeliest = 0;
         for (int s = 1; s < FIT_SHARES; s++)
             if (t->trial_square[i][s] < t->trial_square[i][likeliest]) likeliest = s;

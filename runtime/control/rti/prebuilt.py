@@ -77,7 +77,7 @@ def prebuilt_path(
 
 
 def facts_key(vehicle: Vehicle) -> str:
-    """What the facts of a vehicle's model depend on."""
+    """Key of the facts of a vehicle's model."""
     return hashlib.sha256(msgspec.json.encode((vehicle.body, vehicle.rotors, vehicle.effects))).hexdigest()
 
 

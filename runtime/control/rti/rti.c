@@ -58,7 +58,7 @@ rti *rti_create(const rti_options *options) {
 double *rti_parameters(rti *r) { return r->p; }
 double *rti_environment(rti *r) { return r->e; }
 
-/* What the disturbance adds to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A
+/* Contribution of the disturbance to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A
  * substep is these, the model, and these again (Strang splitting): second order, and a constant in every derivative. */
 static void half_kick(const rti *r, int s, double dt, double *kick) {
     disturbance_at(&r->ocp, (s + 0.5) * dt, kick);
@@ -137,8 +137,8 @@ static void work_on_fit(rti *r, const double *x, const double *inputs) {
     parameter_fit *t = &r->fit;
     flight_filter *f = &r->ocp.filter;
     double before[AXES], after[AXES], mean[3];
-    if (t->until < FIT_FEWEST) {
-        if (t->added >= FIT_FEWEST) fit_begin(t);
+    if (t->until < FIT_MIN_ROWS) {
+        if (t->added >= FIT_MIN_ROWS) fit_begin(t);
         return;
     }
     if (t->at < t->added - FIT_ROWS) t->at = t->added - FIT_ROWS; /* overwritten meanwhile */
@@ -231,7 +231,7 @@ static void change_at(rti *r, const double *before, const double *speeds, int la
     change_over(r, from, speeds, &dt, 1, change);
 }
 
-/* What a state x shows of the rotors, dt seconds after the state before, with the speeds (NU) that they really had in
+/* Evidence of a state x about the rotors, dt seconds after the state before, with the speeds (NU) that they really had in
  * between: beyond (6), mean accelerations beyond the model and without the disturbance, and of each rotor the
  * accelerations (6) that its whole thrust and torque give, in rows of shares. lagged: see change_at. */
 void rti_rotor_shares(rti *r, const double *before, const double *speeds, int lagged, double dt, const double *x,
@@ -265,8 +265,8 @@ static double along(const double *linear, const double *up) {
     return linear[0] * up[0] + linear[1] * up[1] + linear[2] * up[2];
 }
 
-/* The same, and the sums (1 + NU, 3) go on by what was over dt seconds: acceleration along body z and angular ones about
- * body x and y, beyond the model, then of each rotor. force: specific force along body z, which errors of the estimate do
+/* As rti_rotor_shares, and accumulate over dt seconds into sums (1 + NU, 3): acceleration along body z and angular ones
+ * about body x and y, beyond the model, then of each rotor. force: specific force along body z, which errors of the estimate do
  * not reach, m/s^2; NaN without one. gravity: m/s^2. */
 void rti_add_rotor_shares(rti *r, const double *before, const double *speeds, int lagged, double dt, const double *x,
                           double force, double gravity, double *beyond, double *shares, double *sums) {

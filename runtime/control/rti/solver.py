@@ -253,7 +253,7 @@ class RtiSolver:
         state: NDArray[np.float64],
         dt: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What a state (nx,) shows of the rotors, dt seconds after the one before. speeds: (nu,) real ones, rad/s.
+        """Evidence of a state (nx,) about the rotors, dt seconds after the one before. speeds: (nu,) real ones, rad/s.
 
         Returns accelerations (6,) beyond the model without the disturbance, and those (nu, 6) that each rotor's whole
         thrust and torque give, linear m/s^2, world axes, and angular rad/s^2, body axes. The next call overwrites both.
@@ -273,7 +273,7 @@ class RtiSolver:
         force: float,
         sums_at: int,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The same, and the sums of a `RotorLossTest` go on by it.
+        """Evidence as `rotor_shares`, accumulated into the sums of a `RotorLossTest`.
 
         sums_at: address of (1 + nu, 3) float64.
         force: specific force along body z in place of the estimate's, m/s^2; NaN without one.
@@ -300,7 +300,7 @@ class RtiSolver:
         self._code.rti_fly(self._handle, moments)
 
     def fly_disturbance(self, moments: float) -> None:
-        """The same of the disturbance alone, of any model."""
+        """Let predictions have the estimated disturbance alone, of any model. moments: share of its angular part."""
         self._code.rti_fly_disturbance(self._handle, moments)
 
     def shift(self, seconds: float) -> None:

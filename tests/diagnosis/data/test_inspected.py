@@ -96,7 +96,7 @@ def test_a_battery_that_sags_to_nothing_is_not_used(plain_flights, arpl_250g, vo
 
     dataset = make_dataset([sagging(flight) for flight in plain_flights], arpl_250g)
     assert all(segment.battery_ratio is None for segment in dataset.everything)
-    assert any("none that a battery has in flight" in note for note in dataset.notes)
+    assert any("not a plausible pack voltage in flight" in note for note in dataset.notes)
 
 
 def test_what_some_flights_lack_is_noted_with_their_number(plain_flights, arpl_250g):

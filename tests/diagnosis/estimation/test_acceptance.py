@@ -261,6 +261,7 @@ def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):
     assert len(rivals_of(Search(regression), [b], a)) == 2  # c stands for a where it is not there yet
 
 
+@pytest.mark.slow
 def test_effects_that_together_make_a_channel_worse_are_not_both_named(arpl_250g, monkeypatch):
     """Each is judged beside the other: two that oppose each other help one by one."""
     hidden = [EffectUse("linear_drag", {"coefficient": 0.08}), EffectUse("rotational_damping", {"coefficient": 4e-3})]
@@ -318,6 +319,7 @@ def test_a_trial_ends_where_what_it_needs_fails(arpl_250g, monkeypatch):
     assert len(judged) - of_all < of_all
 
 
+@pytest.mark.slow
 def test_an_effect_that_helps_where_it_does_not_act_alone_is_not_named(arpl_250g, monkeypatch):
     """An inertia of 1.27 lowered the vertical force by the thrust of commands that fitted beside it, and no torque."""
     hidden = [EffectUse("rotational_damping", {"coefficient": 4e-3})]

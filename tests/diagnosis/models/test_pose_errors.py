@@ -158,6 +158,7 @@ def estimated_flights(tmp_path_factory):
     return folder, hidden["linear_drag"]["coefficient"]
 
 
+@pytest.mark.slow
 def test_held_out_errors_are_judged_without_the_poses(estimated_flights):
     folder, true = estimated_flights
     vehicle, dataset, regression = regression_of(folder)
@@ -198,6 +199,7 @@ def test_a_gyros_noise_does_not_explain_itself_in_the_attitudes_rate(estimated_f
         assert density[frequency > 5].max() * regression.rate / 2 < 4.0  # 8 to 16
 
 
+@pytest.mark.slow
 def test_a_drag_shows_through_an_estimators_error_of_velocity(estimated_flights):
     folder, true = estimated_flights
     diagnosis = alula.diagnose(sorted(map(str, folder.glob("*.ulg"))), str(folder / "vehicle.toml"))

@@ -19,6 +19,7 @@ def diagnosed(vehicle, *effects, noise=1.0, seed=5, commands=False, catalogue=CA
     return diagnose_dataset(make_dataset(flights, vehicle), vehicle, catalogue).diagnosis
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_beside_a_strong_drag_is_not_taken_for_a_wrong_thrust_constant(arpl_250g):
     diagnosis = diagnosed(
         arpl_250g, ("mass", {"ratio": 1.18}, None), ("rotor_drag", {"coefficient": 4.7e-5}, None), noise=3.0
@@ -35,6 +36,7 @@ def test_an_effect_that_the_held_out_flights_do_not_show_is_named_from_the_other
     assert [effect.name for effect in diagnosis.effects] == ["wall_effect"]
 
 
+@pytest.mark.slow
 def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
     gusty = diagnosed(arpl_250g, ("gust", {"intensity": 0.8, "correlation_time": 1.0}, None))
     assert [effect.name for effect in gusty.effects] == ["gust"]
@@ -42,6 +44,7 @@ def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
     assert diagnosed(arpl_250g, ("swirling", {"amplitude": 0.04}, None)).verdict == "unknown"
 
 
+@pytest.mark.slow
 def test_two_drags_in_a_steady_wind_are_named_without_a_gust(arpl_250g):
     wind = {"x": 4.2, "y": -0.3, "z": 0.0}
     drags = [("rotor_drag", {"coefficient": 1.4e-5}, None), ("parasitic_drag", {"coefficient": 0.0114}, None)]
@@ -51,6 +54,7 @@ def test_two_drags_in_a_steady_wind_are_named_without_a_gust(arpl_250g):
     assert values["parasitic_drag"]["coefficient"].value == pytest.approx(0.0114, rel=0.03)
 
 
+@pytest.mark.slow
 def test_commanded_speeds_are_used_as_they_are(arpl_250g):
     diagnosis = diagnosed(
         arpl_250g, ("motor_lag", {"time_constant": 0.03}, None), ("mass", {"ratio": 1.1}, None), commands=True
@@ -61,6 +65,7 @@ def test_commanded_speeds_are_used_as_they_are(arpl_250g):
     assert len(first) == 2
 
 
+@pytest.mark.slow
 def test_no_more_than_two_effects_are_named_as_ambiguous(arpl_250g):
     body = msgspec.structs.replace(arpl_250g.body, mass=0.97 * arpl_250g.body.mass)
     flights = compiled_flights(arpl_250g, [], catalogue=CATALOGUE, seed=6)

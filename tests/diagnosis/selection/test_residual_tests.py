@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from diagnosis.models.channels import POSE_ACCELERATION
 from diagnosis.models.pose_errors import PoseErrors
-from diagnosis.selection.residual_tests import ErringRows, low_frequency_agreement, run_residual_tests
+from diagnosis.selection.residual_tests import PerturbedResiduals, low_frequency_agreement, run_residual_tests
 from diagnosis.selection.spectral_line import line_by_chance, strongest_line
 from diagnosis.thresholds import DEFAULT
 from dynamics.state import VELOCITY
@@ -293,7 +293,7 @@ def test_an_estimators_slow_errors_resemble_some_function_of_the_state_by_chance
 def test_an_error_of_velocity_under_a_right_drag_is_no_function_of_the_state(arpl_250g):
     """It is force to the model and in the measured velocity, which predicts it."""
     drag, flown, rows = 2.5, [], []
-    draws = [ErringRows([], []) for _ in range(4)]
+    draws = [PerturbedResiduals([], []) for _ in range(4)]
     for i, still in enumerate(hovering(arpl_250g, mass_ratio=1.0, seed=0, count=7, duration=50.0)):
         random = np.random.default_rng(70 + i)
         true, error, *drawn = (
@@ -309,7 +309,7 @@ def test_an_error_of_velocity_under_a_right_drag_is_no_function_of_the_state(arp
     of_all = regression(arpl_250g, [candidate(effect("a"), 0)], columns, rows, segments=tuple(flown), thresholds=FEW)
     estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
     assert "predictable_from_state" in fires(run_residual_tests(estimated, rows))
-    assert "predictable_from_state" not in fires(run_residual_tests(estimated, rows, erring=lambda: draws))
+    assert "predictable_from_state" not in fires(run_residual_tests(estimated, rows, perturbed=lambda: draws))
     for y, segment in zip(rows, flown, strict=True):  # what does depend on it is found beside them
         y[:, 0] += 8 * np.abs(segment.velocity[segment.decimated][:, 0])
-    assert "predictable_from_state" in fires(run_residual_tests(estimated, rows, erring=lambda: draws))
+    assert "predictable_from_state" in fires(run_residual_tests(estimated, rows, perturbed=lambda: draws))

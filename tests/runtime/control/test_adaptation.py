@@ -241,6 +241,7 @@ def test_a_shadow_estimates_and_flies_as_without(arpl_250g: Vehicle) -> None:
     assert controller.adaptation.filter.staying[0] + controller.adaptation.filter.fading[0] > 1.0
 
 
+@pytest.mark.slow
 def test_drag_and_wind_are_named_on_a_fast_path(arpl_250g: Vehicle) -> None:
     flight, controller = flown(arpl_250g, "Lemniscate", *WIND, seconds=14.0, follow=DRAGS)
     assert controller.adaptation is not None
@@ -269,6 +270,7 @@ def test_with_nothing_hidden_it_flies_no_worse(arpl_250g: Vehicle) -> None:
     assert flown(arpl_250g, "Lemniscate", follow=DRAGS)[0].position_rmse < 1.1 * usual
 
 
+@pytest.mark.slow
 def test_a_drag_of_the_model_is_no_thrust_that_is_missing() -> None:
     """At speed the drag along body z passed for effectiveness, and the disturbance for the difference of both."""
     px4_sih = read_vehicle(FOLDER / "px4_sih.toml")
@@ -334,6 +336,7 @@ def test_what_is_estimated_is_bounded(arpl_250g: Vehicle) -> None:
     assert abs(filtered.staying[0] + filtered.fading[0]) <= ON.linear.limit + 1e-12
 
 
+@pytest.mark.slow
 def test_a_restart_of_the_solver_forgets_nothing_that_holds(arpl_250g: Vehicle) -> None:
     """A solver without a solution for a while restarts at every tick; after a long pause the air is another."""
     controller = flown(arpl_250g, "Hover", *WIND, seconds=2.0)[1]

@@ -40,6 +40,7 @@ def test_a_centre_of_mass_is_named_with_its_interval(arpl_250g: Vehicle, name: s
     assert named["centre_of_mass.z"][1] > 0.01  # which turns nothing
 
 
+@pytest.mark.slow
 def test_one_that_shifts_in_flight_is_named_where_it_is_then(arpl_250g: Vehicle) -> None:
     then = {"centre_of_mass.x": 0.0, "centre_of_mass.y": 0.005}
     named = named_in_flight(arpl_250g, HERE, (ParameterStep(6.0, then),))

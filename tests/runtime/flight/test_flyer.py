@@ -492,6 +492,8 @@ def test_whatever_happens_no_tick_raises_and_no_setpoint_is_out_of_bounds(
         flight.findings, flight.frozen, flight.connected = findings, frozen or not connected, connected
         flight.mode = mode if flight.flyer.engagement.flying else flight.mode
         flight.run(duration)
+    if not flight.flyer.engagement.streaming:
+        flight.run(0.5)  # of parting, level and slow
     limit, heard = np.array(vehicle.limits.rate) + 1e-9, 0.0
     for (observation, _), decision in zip(flight.story.observations, flight.story.decisions, strict=True):
         heard = observation.time if observation.connected else heard

@@ -68,7 +68,9 @@ def _numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
 
 
-@pytest.mark.parametrize("logs", ["ulogs", "csvs", "recordings"])
+@pytest.mark.parametrize(
+    "logs", ["ulogs", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("csvs", "recordings"))]
+)
 @pytest.mark.timeout(600)
 def test_a_log_becomes_a_better_model_by_clicks(
     page: Page, address: str, logs: str, request: pytest.FixtureRequest

@@ -191,7 +191,7 @@ def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, ulogs:
         opened.start("check")
         threading.Timer(0.2, worker._process.kill).start()
         opened.wait(60.0)
-        assert "ended by itself" in opened.failure
+        assert "died" in opened.failure
         _do(opened, "check")
         assert opened.result(Checked, "check") is not None
     finally:
