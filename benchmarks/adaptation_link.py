@@ -24,9 +24,10 @@ from benchmarks.table_two_worker import MOCKS_PRIORITY, PRIORITY, ahead_of_other
 from dynamics.references import named_reference
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
-from runtime.daemon import Daemon, FlightRequest
+from runtime.daemon import Daemon
 from runtime.flight.events import Event
 from runtime.flight.mission import Plan
+from runtime.flight_request import FlightRequest
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process

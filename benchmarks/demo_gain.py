@@ -1,7 +1,7 @@
 """Gain of the demo: prediction and tracking error before and after, over seeds, and for each catalogued effect.
 
-In lockstep, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default, then
-one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
+In simulated time, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default,
+then one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
 flown is kept in a folder, so that an interrupted run resumes.
 
     python -m benchmarks.demo_gain [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]
@@ -45,13 +45,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=float("inf"), help="until no further demo is begun")
     arguments = parser.parse_args()
     seeds = range(1, arguments.seeds + 1)
-    demos = {f"default_{seed}": DemoOptions(arguments.keep, lockstep=True, seed=seed) for seed in seeds}
+    demos = {f"default_{seed}": DemoOptions(arguments.keep, seed=seed) for seed in seeds}
     chosen = arguments.effects.split(",") if arguments.effects else [effect.partition(":")[0] for effect in EFFECTS]
     for effect in EFFECTS:
         name = effect.partition(":")[0]
         if name not in chosen:
             continue
-        demos[name] = DemoOptions(arguments.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
+        demos[name] = DemoOptions(arguments.keep, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
     flown_demos = dict(_demos(demos, until=time.monotonic() + 60 * arguments.minutes))
     if len(flown_demos) < len(demos):
         sys.exit(f"{len(flown_demos)} of {len(demos)} demos are flown; run again to continue.")
@@ -68,7 +68,7 @@ def _demos(demos: Mapping[str, DemoOptions], until: float) -> Iterator[tuple[str
         if not report_file.exists() and time.monotonic() < until:
             options = msgspec.structs.replace(options, folder=report_file.parent)
             try:
-                outcome: DemoReport | str = run_demo(options, lambda _: None, lambda _: None)[0]
+                outcome: DemoReport | str = run_demo(options, lambda _: None, lambda *_: None)[0]
             except AlulaError as error:
                 outcome = str(error)
             report_file.write_bytes(msgspec.json.encode(outcome))

@@ -37,9 +37,15 @@ def main() -> None:
         for run in range(runs):
             names = tuple(TRACKING_NOMINAL)
             options = DemoOptions(
-                Path(folder) / str(run), effects=(), manoeuvres=names, duration=25.0, seed=100 + run, learn=False
+                Path(folder) / str(run),
+                effects=(),
+                manoeuvres=names,
+                duration=25.0,
+                seed=100 + run,
+                realtime=True,
+                learn=False,
             )
-            report, _ = run_demo(options, lambda _: None, print)
+            report, _ = run_demo(options, lambda _: None, lambda name, _: print(name))
             for flown in report.nominal:
                 errors[flown.name].append(flown.position_rmse)
                 speeds[flown.name] = max(speeds.get(flown.name, 0.0), flown.speed_max)

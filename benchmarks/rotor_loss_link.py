@@ -24,10 +24,11 @@ from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
-from runtime.daemon import Daemon, FlightRequest
+from runtime.daemon import Daemon
 from runtime.flight.composition import Controllers
 from runtime.flight.events import Event
 from runtime.flight.mission import Plan
+from runtime.flight_request import FlightRequest
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process

@@ -1,4 +1,4 @@
-"""Draw the pages that docs/ shows: report.png of `alula demo --lockstep`, diagnosis.png of the first tutorial's logs,
+"""Draw the pages that docs/ shows: report.png of `alula demo`, diagnosis.png of the first tutorial's logs,
 studio_STEP.png of each step of the studio on the same logs, studio_fleet.png and studio_recording.png of results.
 
 python -m docs.make_pictures [--studio]    # needs chromium; some minutes; the studio's alone
@@ -133,7 +133,7 @@ def main() -> None:
             return
         alula("diagnose", "logs", "--vehicle", "my_quad.toml", "--html", "diagnosis.html", folder=folder)
         draw(folder / "diagnosis.html", PICTURES / "diagnosis.png", folder)
-        alula("demo", "--lockstep", "--out", "demo", folder=folder)
+        alula("demo", "--out", "demo", folder=folder)
         draw(folder / "demo/report.html", PICTURES / "report.png", folder)
 
 

@@ -9,30 +9,41 @@ from dynamics.autopilot_settings import CUTOFFS, GAINS, AutopilotSettings
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime.flight.thrust import THRUST_CURVE
-from runtime.link.link import Link
 from runtime.link.parameters import read_parameter
+from runtime.link.vehicle_link import VehicleLink
 from runtime.record.recorder import Recorder
 from runtime.record.records import ParameterRecord
 
 NOTABLE = 1.25  # ratio of a gain to the vehicle file's that is worth a line
 
 
-def read_thrust_curve(link: Link, recorder: Recorder | None, announce: Callable[[str], None]) -> float:
-    """The autopilot's THR_MDL_FAC; 0 where it cannot be read, which is announced."""
+def read_thrust_curve(
+    link: VehicleLink,
+    recorder: Recorder | None,
+    announce: Callable[[str], None],
+    clock: Callable[[], float] = time.monotonic,
+) -> float:
+    """The autopilot's THR_MDL_FAC; 0 where it cannot be read, which is announced. clock: of the flight, s."""
     curve = read_parameter(link, THRUST_CURVE)
     if curve.value is None:
         announce(f"{THRUST_CURVE} could not be read ({curve.error}); 0 is assumed")
     factor = float(curve.value or 0.0)
-    _record(recorder, {THRUST_CURVE: factor})
+    _record(recorder, {THRUST_CURVE: factor}, clock())
     return factor
 
 
 def read_rate_gains(
-    link: Link, vehicle: Vehicle, recorder: Recorder | None, announce: Callable[[str], None]
+    link: VehicleLink,
+    vehicle: Vehicle,
+    recorder: Recorder | None,
+    announce: Callable[[str], None],
+    clock: Callable[[], float] = time.monotonic,
 ) -> AutopilotSettings | None:
     """The gains of the autopilot's rate loop; None where they cannot be read, which is announced.
 
-    vehicle: whose file's gains are compared. Raises VehicleError for gains that hold no body rate.
+    vehicle: whose file's gains are compared. clock: of the flight, s.
+
+    Raises VehicleError for gains that hold no body rate.
     """
     values = _read_until_silence(link, (*GAINS, *CUTOFFS))
     try:
@@ -43,7 +54,7 @@ def read_rate_gains(
         source = "the vehicle file's" if vehicle.autopilot is not None else "gains that suit the file's motors"
         announce(f"{GAINS[0]} and so on could not be read; {source} are assumed")
         return None
-    _record(recorder, values)
+    _record(recorder, values, clock())
     if vehicle.autopilot is not None and _differ(gains, vehicle.autopilot):
         flown, filed = (", ".join(f"{g:.3g}" for g in s.rate_gain) for s in (gains, vehicle.autopilot))
         announce(f"the autopilot's rate gains are {flown}, those of the vehicle file {filed}: its own count")
@@ -55,7 +66,7 @@ def recorded_rate_gains(records: Iterable[ParameterRecord]) -> AutopilotSettings
     return AutopilotSettings.from_parameters({record.name: record.value for record in records})
 
 
-def _read_until_silence(link: Link, names: Iterable[str]) -> dict[str, float]:
+def _read_until_silence(link: VehicleLink, names: Iterable[str]) -> dict[str, float]:
     """Values by name, without those that the vehicle does not have; a vehicle that does not answer is left alone."""
     values: dict[str, float] = {}
     for name in names:
@@ -72,8 +83,7 @@ def _differ(one: AutopilotSettings, other: AutopilotSettings) -> bool:
     return any(not a / NOTABLE <= b <= a * NOTABLE for a, b in pairs)
 
 
-def _record(recorder: Recorder | None, values: Mapping[str, float]) -> None:
+def _record(recorder: Recorder | None, values: Mapping[str, float], now: float) -> None:
     if recorder is not None:
-        now = time.monotonic()
         for name, value in values.items():
             recorder.put(ParameterRecord(now, name, value), now)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import isnan, nan
 from typing import Any
@@ -26,8 +26,8 @@ from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
 from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
-from runtime.link.link import Link
 from runtime.link.rotors import RotorReading
+from runtime.link.vehicle_link import VehicleLink
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
     EventRecord,
@@ -85,7 +85,7 @@ class ControlThread:
 
     def __init__(
         self,
-        link: Link,
+        link: VehicleLink,
         telemetry: TelemetryBuffer,
         flyer: Flyer,
         requests: Requests,
@@ -94,8 +94,15 @@ class ControlThread:
         priority: int | None = None,
         processor: int | None = None,
         recorder: Recorder | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """period: s. priority: of SCHED_FIFO, None for none. processor: that the thread stays on, None for any."""
+        """period: s. priority: of SCHED_FIFO, None for none. processor: that the thread stays on, None for any.
+
+        clock: s; of a flight in simulated time its own.
+        """
+        self._clock, self._simulated = clock, clock is not time.monotonic
+        # computing takes no simulated time; a system call each time would also give the processor away
+        self._processor_time = clock if self._simulated else time.thread_time
         self.deadlines = Deadlines(period)
         self.tracking = Tracking()
         self.autopilot_requests: queue.SimpleQueue[AutopilotRequest] = queue.SimpleQueue()
@@ -112,7 +119,7 @@ class ControlThread:
         self._preparation = 0.0
         self._phase = Phase.GROUND
         self._stop_since = float("inf")
-        self.stream = SetpointStream(link, self._put)
+        self.stream = SetpointStream(link, self._put, clock)
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
     def start(self) -> None:
@@ -138,12 +145,12 @@ class ControlThread:
             self._leave()
 
     def _run_ticks(self) -> None:
-        start = self._free = time.monotonic()
+        start = self._free = self._clock()
         schedule = Schedule(self._period, start=start)
         while not self._flyer.over and not self._stopped_for_good():
             schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
-            woken, busy = time.monotonic(), time.thread_time()
+            woken, busy = self._clock(), self._processor_time()
             schedule.ticked(due, woken, by_clock=by_clock)
             try:
                 self._fly(due, by_clock, woken, busy)
@@ -154,16 +161,28 @@ class ControlThread:
                 self._put(TextRecord(woken, "daemon", 3, self.defect), woken)
                 if self._defects >= MAX_DEFECTS:
                     return
-            self.ticks += 1
-            self._busy_before = time.thread_time() - self._busy_at_departure
-            self._free = time.monotonic()
+            self._tick_over()
+
+    def tick(self, estimate: StateEstimate | None, now: float, *, by_clock: bool) -> None:
+        """One tick of a flight in simulated time, in the caller's thread, where `start` is not called.
+
+        estimate: the newest. now: s, simulated. A defect raises.
+        """
+        self._estimate = estimate
+        self._fly(now, by_clock, now, now)
+        self._tick_over()
+
+    def _tick_over(self) -> None:
+        self.ticks += 1
+        self._busy_before = self._processor_time() - self._busy_at_departure
+        self._free = self._clock()
 
     def _stopped_for_good(self) -> bool:
         """Whether a stop was requested so long ago that the flight logic has not ended the stream by itself."""
         if not self._requests.stop:
             return False
-        self._stop_since = min(self._stop_since, time.monotonic())
-        return time.monotonic() - self._stop_since > STOP_PATIENCE
+        self._stop_since = min(self._stop_since, self._clock())
+        return self._clock() - self._stop_since > STOP_PATIENCE
 
     def _leave(self) -> None:
         """End a stream that the flight logic did not end: by a setpoint that may be held, and a mode that lands."""
@@ -193,12 +212,12 @@ class ControlThread:
             self._telemetry.echo.sent(self.stream.newest, (x, y, z), decision.thrust)
         if decision.rate_body is not None and isnan(self.first_setpoint):
             self.first_setpoint = self.stream.newest
-        departed, self._busy_at_departure = time.monotonic(), time.thread_time()
+        departed, self._busy_at_departure = self._clock(), self._processor_time()
         busy = self._busy_at_departure - busy_at_start
         times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
         cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
         self._flyer.prepare(observation.time)
-        self._preparation = time.monotonic() - departed
+        self._preparation = self._clock() - departed
         self._publish(decision)
         self._record(observation, estimate, decision, times, cause)
 
@@ -302,7 +321,7 @@ class ControlThread:
             phase=self._flyer.mission.phase.value,
             fallback=decision.fallback.name.lower(),
             solver_status=decision.solver_status,
-            feedback_seconds=decision.feedback_seconds,
+            feedback_seconds=0.0 if self._simulated else decision.feedback_seconds,
             preparation_seconds=self._preparation,
             departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
             late_cause=cause.value,

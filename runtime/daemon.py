@@ -15,14 +15,10 @@ from pathlib import Path
 
 import msgspec
 
-from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
-from dynamics.signing_key import SigningKey
 from dynamics.vehicle import Vehicle
 from runtime import realtime
-from runtime.autopilot_parameters import read_rate_gains, read_thrust_curve
-from runtime.control.adaptation import Followed
-from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.autopilot_parameters import read_thrust_curve
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
@@ -30,27 +26,22 @@ from runtime.flight.composition import (
     Controllers,
     build_controllers,
     build_flyer,
-    use_lookaheads,
     vehicle_facts,
     warm_up,
 )
-from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
-from runtime.flight.health import estimator_health
-from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
 from runtime.flight.thrust import rotor_speed
-from runtime.flight.tracking import TrackingReport
+from runtime.flight_request import FlightReport, FlightRequest
 from runtime.link.commands import request_rates
-from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
 from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
-from runtime.link.telemetry import EstimatorSample, VehicleStatus
-from runtime.rate_loop_check import oscillation_problem
+from runtime.link.telemetry import VehicleStatus
+from runtime.preparation import estimates_keep_up, required_rates, slow_findings, use_rate_gains
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord
 from runtime.request_worker import RequestWorker, link_handlers
@@ -59,16 +50,12 @@ from runtime.service_manager import ServiceManager
 from runtime.stream_requests import StreamRequests
 from runtime.stream_watch import StreamWatch
 from runtime.telemetry_buffer import TelemetryBuffer
-from runtime.timing import TimingReport
 
-MIN_RATE = 0.9  # of the rate of estimates that the flight requires
-MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 sends 124 Hz on a request for 200
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 SETTLING_TIME = 1.5  # s, at most, in which clock and streams settle before their state is reported
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
-ESTIMATOR_AGE = 2.0  # s for which an ESTIMATOR_STATUS counts
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
 REQUEST_PATIENCE = 2.5  # s in which the autopilot is to answer the last request, such as LAND
 PILOT_REMINDER = 10.0  # s between the lines that say that the pilot is to arm
@@ -84,77 +71,6 @@ SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may
 
 
 Announce = Callable[[str], None]
-
-
-class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The daemon's settings for one flight, besides vehicle and reference.
-
-    endpoint: of the link.
-    plan: take-off, transfers and landing.
-    settings: of the flight logic.
-    adaptation: how the model follows in flight.
-    rate: control rate, Hz.
-    record: folder for the recording, None for none.
-    name: of the recording; the date and time if empty.
-    system: the vehicle's system id, None for the first one heard.
-    roaming: whether the vehicle may continue from another address after a silence.
-    signing_key: under which the link is signed, None for an unsigned one.
-    timeout: s to wait for the vehicle.
-    priority: of SCHED_FIFO, None for none.
-    processor: that the control thread stays on, None for any.
-    metadata: for the recording: command, versions, seeds, hashes.
-    attachments: for the recording: texts by name, such as the vehicle file.
-    """
-
-    endpoint: Endpoint
-    rate: float = CONTROL_RATE
-    plan: Plan = Plan()
-    settings: FlyerSettings = FlyerSettings()
-    adaptation: AdaptationSettings = AdaptationSettings()
-    record: Path | None = None
-    name: str = ""
-    system: int | None = None
-    roaming: bool = False
-    signing_key: SigningKey | None = None
-    timeout: float = 10.0
-    priority: int | None = None
-    processor: int | None = None
-    metadata: Mapping[str, str] = {}
-    attachments: Mapping[str, str] = {}
-
-
-class FlightReport(msgspec.Struct, frozen=True):
-    """How a flight went.
-
-    outcome: why it ended.
-    landed: whether it ended on the ground, disarmed, by the daemon's own landing.
-    completed: whether it landed, and not earlier than requested.
-    landing_reason: why it was cut short, empty when it was not.
-    recording: path, None when nothing was recorded.
-    estimate_rate: Hz, at the end.
-    events: how often each was raised, by name.
-    effectiveness: thrust per modelled thrust, at the end; of a flight that did not end with a landing, as it was before
-        the autopilot could have left OFFBOARD without a HEARTBEAT that shows it.
-    start_up: s from constructing the daemon to the first setpoint, negative when none was sent.
-    scheduling: SCHED_FIFO with its priority or ordinary, and what was refused, each with its remedy.
-    origin: of the reference's coordinates in the estimator's, m: where the vehicle stood, or zero.
-    followed: what the model followed, None where it did not.
-    """
-
-    outcome: str
-    landed: bool
-    completed: bool
-    landing_reason: str
-    recording: str | None
-    tracking: TrackingReport
-    timing: TimingReport
-    estimate_rate: float
-    events: dict[str, int]
-    effectiveness: float
-    start_up: float
-    scheduling: str
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    followed: Followed | None = None
 
 
 class Daemon:
@@ -240,7 +156,8 @@ class Daemon:
     def _open_recorder(self, folder: Path) -> Recorder:
         name = self._request.name or time.strftime("%Y%m%d-%H%M%S")
         try:
-            return Recorder(folder, name, metadata=self._metadata(), attachments=self._request.attachments)
+            metadata = self._request.recording_metadata(self._controller_options())
+            return Recorder(folder, name, metadata=metadata, attachments=self._request.attachments)
         except OSError as error:
             raise RequestError(
                 f"cannot record {name} in {folder}: {error.strerror}. Give --record a folder that can be written."
@@ -255,23 +172,7 @@ class Daemon:
             )
 
     def _controller_options(self) -> ControllerOptions:
-        request = self._request
-        options = ControllerOptions.for_vehicle(self._vehicle, period=1.0 / request.rate, adaptation=request.adaptation)
-        return options if self._bundle is None else options.for_kernel(self._bundle.manifest.problem)
-
-    def _metadata(self) -> dict[str, str]:
-        request = self._request
-        settings = {
-            "plan": msgspec.json.encode(request.plan).decode(),
-            "settings": msgspec.json.encode(self._settings()).decode(),
-            "controller": msgspec.json.encode(self._controller_options()).decode(),
-            "endpoint": str(request.endpoint),
-            "rate": repr(request.rate),
-        }
-        return {**settings, **request.metadata}
-
-    def _settings(self) -> FlyerSettings:
-        return msgspec.structs.replace(self._request.settings, period=1.0 / self._request.rate)
+        return self._request.controller_options(self._vehicle, self._bundle)
 
     def _prepare(self, link: Link, controllers: Controllers) -> ControlThread:
         """Check the start, and build what flies; nothing is sent to the vehicle but requests for streams."""
@@ -280,12 +181,13 @@ class Daemon:
         scheduling = self._scheduling
         scheduling.raise_all(BACKGROUND_PRIORITY, exempt="link")
         self._report_refusals()
-        self._rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
+        self._rates = required_rates(request.rate)
         request_rates(link, self._rates)
         thrust_curve = read_thrust_curve(link, self._recorder, self._announce)
-        self._use_rate_gains(link, controllers)
+        options = self._controller_options()
+        use_rate_gains(link, controllers, options, self._vehicle, self._recorder, self._announce)
         self._flyer = build_flyer(
-            controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
+            controllers, self._reference, request.plan, request.flyer_settings, thrust_curve=thrust_curve
         )
         if request.adaptation.mode != "off":
             self._read_rotors(link)
@@ -312,19 +214,6 @@ class Daemon:
         self._service.ready()
         self._streams = StreamRequests(partial(request_rates, link), {**self._rates, **SLOW_STREAMS})
         self._streams.send(time.monotonic())
-
-    def _use_rate_gains(self, link: Link, controllers: Controllers) -> None:
-        """Look ahead as far as the autopilot's own gains require; refuse what would oscillate with them."""
-        gains = read_rate_gains(link, self._vehicle, self._recorder, self._announce)
-        if gains is not None:
-            options = self._controller_options().for_autopilot(self._vehicle, gains)
-            use_lookaheads(controllers, options)
-        for controller in filter(None, controllers):
-            problem = oscillation_problem(controller, self._vehicle, gains)
-            if problem is not None and problem.severity == "error":
-                raise VehicleError(f"The vehicle is not armed: {problem.text}")
-            if problem is not None:
-                self._announce(f"warning: {problem.text}")
 
     def _read_rotors(self, link: Link) -> None:
         """Let speeds of the rotors reach the flight, where it is clear which motor is which rotor."""
@@ -441,20 +330,9 @@ class Daemon:
             self._heard_since = now  # what hinders from now on has the whole of its time to pass
 
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
-        present: dict[Event, str] = {}
-        rate, required = self._telemetry.estimate_rate(now), min(self._request.rate, MAX_ESTIMATE_RATE)
-        self._requests.estimates_keep_up = rate >= MIN_RATE * self._request.rate
-        if rate < MIN_RATE * required:
-            present[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {required:.0f} Hz are required"
-        if not link.peer.clock.is_valid(now):
-            present[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"
-        estimator = link.peer.latest.get(EstimatorSample)
-        if isinstance(estimator, EstimatorSample) and now - estimator.received < ESTIMATOR_AGE:
-            present |= estimator_health(estimator)
-        if self._recorder is not None and self._recorder.trouble:
-            event = Event.RECORDER_OVERRUN if self._recorder.still_writing else Event.DISK_FULL
-            present[event] = self._recorder.trouble
-        return present
+        rate = self._request.rate
+        self._requests.estimates_keep_up = estimates_keep_up(self._telemetry, rate=rate, now=now)
+        return slow_findings(link, self._telemetry, self._recorder, rate=rate, now=now)
 
     def _publish(self, link: Link, control: ControlThread) -> None:
         while self._telemetry.notifications:

@@ -47,12 +47,12 @@ from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, pa
 from runtime.control.followed_parameters import with_followed
 from runtime.control.kernel_model import KernelModel, trim_of
 from runtime.control.rti.prebuilt import flown_model
-from runtime.daemon import FlightRequest
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Origin, Plan
+from runtime.flight_request import FlightRequest
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
 

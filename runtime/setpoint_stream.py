@@ -34,7 +34,14 @@ class SetpointStream:
     open: whether the flight logic has not ended the stream since.
     """
 
-    def __init__(self, link: SetpointLink, record: Callable[[SetpointRecord, float], None]) -> None:
+    def __init__(
+        self,
+        link: SetpointLink,
+        record: Callable[[SetpointRecord, float], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """clock: of the flight, s."""
+        self._clock = clock
         self.newest = -float("inf")
         self.open = False
         self._link, self._record = link, record
@@ -50,7 +57,7 @@ class SetpointStream:
         self._last, self._held_thrust = ((x, y, z), decision.thrust), decision.held_thrust
         self.open = True
         self._link.send_rate_setpoint((x, y, z), decision.thrust)
-        self.newest = time.monotonic()
+        self.newest = self._clock()
 
     def close(self) -> bool:
         """End an open stream with a setpoint that may be held, by the thread that sends. Returns whether it was in use.
@@ -71,7 +78,7 @@ class SetpointStream:
                 time.sleep(SPACING)
             try:
                 send(ZERO, self._held_thrust)
-                now = time.monotonic()
+                now = self._clock()
                 self._record(SetpointRecord(now, np.zeros(3), float("nan"), self._held_thrust, float("nan")), now)
             except Exception:  # a link or recorder that fails now must not keep the other copies from leaving
                 continue

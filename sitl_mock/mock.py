@@ -69,6 +69,7 @@ class MockOptions:
     instance: PX4's, added to ports and to the system id.
     signing_key: key file of MAVLink signing, None for an autopilot that does not sign until it is given a key. The
         file's date is that of the key's set-up, whose timestamp PX4 begins with after every start.
+    epoch: unix time at boot, s; None for now.
     """
 
     vehicle: Path
@@ -89,6 +90,7 @@ class MockOptions:
     parameters: dict[str, float] = field(default_factory=dict)
     instance: int = 0
     signing_key: Path | None = None
+    epoch: float | None = None
 
 
 def _geometry(vehicle: Vehicle) -> dict[str, float]:
@@ -127,7 +129,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         body_velocity=options.body_velocity,
         clock_drift=scenario.clock.drift,
         clock_tick=SITL_TICK if scenario.clock.kind == "sitl" else 0.0,
-        epoch=time.time(),
+        epoch=time.time() if options.epoch is None else options.epoch,
         faults=scenario.faults,
         seed=options.seed,
     )

@@ -15,7 +15,7 @@ from dynamics.trust import approve_given
 if TYPE_CHECKING:
     from dynamics.vehicle import EffectUse, Vehicle
     from runtime.control.verification import Verification
-    from runtime.daemon import FlightReport
+    from runtime.flight_request import FlightReport
     from simulation.lockstep import FlownReference
 
 

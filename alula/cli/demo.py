@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from alula.cli.console import Console
@@ -24,13 +22,10 @@ from dynamics.workbench_install import workbench_install
 from studies.demo import report as demo_report
 from studies.demo.flights import DemoOptions
 from studies.demo.result import DemoReport
-from studies.demo.run import absent_libraries, check_options, run_demo
+from studies.demo.run import check_options, run_demo
 from studies.paper import TRACKING_NOMINAL
 
 DEFAULT = DemoOptions(folder=Path("reports/demo"))
-OVERHEAD = 21.0  # s over the link before and after a manoeuvre
-LOCKSTEP_RATIO = 0.15  # s of computing for a second of flight without a link
-DIAGNOSIS_TIME = 20.0  # s
 INTERRUPTED = 130  # exit code of a command that Ctrl-C ended
 
 
@@ -47,14 +42,12 @@ def demo(
     ] = None,
     no_effects: Annotated[bool, typer.Option("--no-effects", help="Hide nothing: no effect is missing.")] = False,
     vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = DEFAULT.vehicle,
-    duration: Annotated[
-        float | None, typer.Option(min=5.0, help="Seconds of each manoeuvre; by default 10, in lockstep 24.")
-    ] = None,
-    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate over the link, Hz.")] = DEFAULT.rate,
+    duration: Annotated[float, typer.Option(min=5.0, help="Seconds of each manoeuvre.")] = DEFAULT.duration,
+    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate, Hz.")] = DEFAULT.rate,
     seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = DEFAULT.seed,
     out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = DEFAULT.folder,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="Fly in simulated time without a link: a minute instead of four.")
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Fly over a UDP link against the clock: four minutes of a quiet machine.")
     ] = False,
     learn: Annotated[bool, typer.Option(help="Diagnose after the first flights, and fly again.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,
@@ -67,13 +60,13 @@ def demo(
         raise RequestError("--all and --manoeuvre contradict each other. Give one of them.")
     names = tuple(TRACKING_NOMINAL) if every else tuple(manoeuvre or DEFAULT.manoeuvres)
     effects = () if no_effects else DEFAULT.effects if effect is None else tuple(effect)
-    options = DemoOptions(out, vehicle, effects, names, duration, rate, seed, lockstep, learn)
-    check_options(options)
+    options = DemoOptions(out, vehicle, effects, names, duration, rate, seed, realtime, learn)
     console = Console(stderr=as_json)
-    how = "in lockstep" if lockstep else "over MAVLink"
+    how = "over MAVLink, against the clock" if realtime else "in simulated time, by MAVLink's bytes"
     console.print(f"{vehicle} flies with its nominal model {how}; it hides {', '.join(effects) or 'nothing'}")
+    check_options(options)
     try:
-        with (out / "news.txt").open("w", encoding="utf-8") as log, _progress(console, options) as started:
+        with (out / "news.txt").open("w", encoding="utf-8") as log, _progress(console) as started:
             announce = partial(print, file=log, flush=True)
             report, learning = run_demo(options, announce, started, command=command_line())
     except KeyboardInterrupt:
@@ -88,32 +81,19 @@ def demo(
 
 
 @contextmanager
-def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str], None]]:
-    """A bar over the expected time of the whole demo, and the function that names the part that starts."""
-    columns = (TextColumn("{task.description:28}"), BarColumn(), TimeElapsedColumn())
-    expected, start, over = _expected(options), time.monotonic(), threading.Event()
+def _progress(console: Console) -> Iterator[Callable[[str, float], None]]:
+    """A bar of the work that is done, with the time since the start, and the function that moves it."""
+    columns = (TextColumn("{task.description:34}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        task = progress.add_task("starting", total=expected)
+        task = progress.add_task("starting", total=1.0)
 
-        def follow() -> None:
-            while not over.wait(0.5):
-                progress.update(task, completed=min(time.monotonic() - start, 0.99 * expected))
+        def show(name: str, share: float) -> None:
+            progress.update(task, description=name, completed=share)
+            if not console.is_terminal:  # where no bar is drawn
+                console.print(f"{share:4.0%}  {name}", highlight=False)
 
-        follower = threading.Thread(target=follow, name="progress", daemon=True)
-        follower.start()
-        try:
-            yield lambda name: progress.update(task, description=name)
-            progress.update(task, description="done", completed=expected)
-        finally:
-            over.set()
-            follower.join()
-
-
-def _expected(options: DemoOptions) -> float:
-    """Time that the whole demo usually takes, s."""
-    flight = LOCKSTEP_RATIO * options.seconds if options.lockstep else options.seconds + OVERHEAD
-    half = len(options.manoeuvres) * flight
-    return half if absent_libraries() or not options.learn else 2 * half + DIAGNOSIS_TIME
+        yield show
+        progress.update(task, description="done", completed=1.0)
 
 
 def _print(report: DemoReport, console: Console) -> None:

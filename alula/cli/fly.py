@@ -20,7 +20,7 @@ from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.references import is_identification
 
 if TYPE_CHECKING:
-    from runtime.daemon import FlightReport
+    from runtime.flight_request import FlightReport
 
 REALTIME_PRIORITY = 50
 

@@ -17,6 +17,7 @@ from runtime.link import modes
 from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link.link import Link
 from runtime.link.telemetry import VehicleStatus, enum_name
+from runtime.link.vehicle_link import VehicleLink
 
 _FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: regardless of checks, and of being in the air
 _RESEND_PERIOD = 0.5  # s without an answer
@@ -36,25 +37,25 @@ class Confirmation(msgspec.Struct, frozen=True):
     reason: str = ""
 
 
-def command_message(link: Link, command: int, attempt: int, *parameters: float) -> Message:
+def command_message(link: VehicleLink, command: int, attempt: int, *parameters: float) -> Message:
     """COMMAND_LONG to the vehicle. parameters: up to seven, the others are 0."""
     status = link.status
     values = (*parameters, *(0.0,) * (7 - len(parameters)))
     return mavlink.MAVLink_command_long_message(status.system, status.component, command, attempt, *values)
 
 
-def acknowledgement(link: Link, message: Message, command: int) -> str | None:
+def acknowledgement(link: VehicleLink, message: Message, command: int) -> str | None:
     """The result's name, such as accepted, if a message acknowledges this command to us; None otherwise."""
     if message.get_type() != "COMMAND_ACK" or message.command != command:
         return None
     if message.target_system not in (0, link.own_system):
         return None
-    if message.target_component not in (0, link.settings.own_component):
+    if message.target_component not in (0, link.own_component):
         return None
     return enum_name("MAV_RESULT", message.result, "MAV_RESULT_")
 
 
-def send_command(link: Link, command: int, *parameters: float, timeout: float = 0.5, attempts: int = 4) -> str:
+def send_command(link: VehicleLink, command: int, *parameters: float, timeout: float = 0.5, attempts: int = 4) -> str:
     """Send a command until it is acknowledged. Returns the result's name, or no_answer.
 
     For modes and arming use set_mode and set_armed: a first acknowledgement may be wrong there.
@@ -70,7 +71,7 @@ def send_command(link: Link, command: int, *parameters: float, timeout: float = 
     return link.exchange(request, read, timeout=timeout, attempts=attempts) or "no_answer"
 
 
-def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
+def request_rates(link: VehicleLink, rates: Mapping[str, float]) -> dict[str, str]:
     """Request message rates. Returns the results' names; the rates that arrive are in link.peer.rates.
 
     rates: message name to Hz, 0 for the vehicle's default.
@@ -91,27 +92,39 @@ def set_mode(link: Link, mode: str, timeout: float = 3.0) -> Confirmation:
 
     Raises RequestError for a mode that PX4 does not have.
     """
-    try:
-        main, sub = modes.mode_numbers(mode)
-    except KeyError:
-        raise RequestError(f"'{mode}' is no mode of PX4. Give a name such as OFFBOARD, HOLD, RTL or LAND.") from None
-    custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+    command, (custom, main, sub) = mode_command(mode)
     return _confirm(
         link,
-        mavlink.MAV_CMD_DO_SET_MODE,
-        (custom, float(main), float(sub)),
+        command,
+        (custom, main, sub),
         lambda status: (status.main_mode, status.sub_mode) == (main, sub),
         f"mode {mode.upper()}",
         timeout,
     )
 
 
+def mode_command(mode: str) -> tuple[int, tuple[float, float, float]]:
+    """Number and parameters of the command for a PX4 mode. Raises RequestError for one that PX4 does not have."""
+    try:
+        main, sub = modes.mode_numbers(mode)
+    except KeyError:
+        raise RequestError(f"'{mode}' is no mode of PX4. Give a name such as OFFBOARD, HOLD, RTL or LAND.") from None
+    custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+    return mavlink.MAV_CMD_DO_SET_MODE, (custom, float(main), float(sub))
+
+
+def arming_command(armed: bool, *, force: bool = False) -> tuple[int, tuple[float, float]]:
+    """Number and parameters of the command to arm or disarm. force: regardless of the autopilot's checks."""
+    return mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (float(armed), _FORCE if force else 0.0)
+
+
 def set_armed(link: Link, armed: bool, *, force: bool = False, timeout: float = 3.0) -> Confirmation:
     """Request arming or disarming until HEARTBEAT shows it. force: regardless of the autopilot's checks. timeout: s."""
+    command, parameters = arming_command(armed, force=force)
     return _confirm(
         link,
-        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-        (float(armed), _FORCE if force else 0.0),
+        command,
+        parameters,
         lambda status: status.armed == armed,
         "arming" if armed else "disarming",
         timeout,

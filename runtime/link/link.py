@@ -22,6 +22,7 @@ from runtime.link.dialect import Message, mavlink
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.framing import Frame, FrameParser
 from runtime.link.peer import Peer, Reaction
+from runtime.link.setpoint_message import rate_setpoint_message
 from runtime.link.signing import ACCEPTED, MESSAGES_LINK, REFUSALS, SETPOINTS_LINK, Signing
 from runtime.link.silence import explain_silence
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
@@ -33,7 +34,6 @@ Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
 Arrival = tuple[Frame, float, Address | None]  # a frame, when it came, s, monotonic, and where from
 
-_RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust (docs/px4.md)
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
 _MAX_BATCH = 32  # frames, and datagrams, read before the frames are handled
@@ -165,6 +165,11 @@ class Link:
             return self.settings.own_system
         return self.peer.address[0] if self.peer.address is not None else self.settings.target_system or 1
 
+    @property
+    def own_component(self) -> int:
+        """Our component id."""
+        return self.settings.own_component
+
     def is_connected(self, now: float) -> bool:
         """Whether the vehicle was heard recently. now: s on our monotonic clock."""
         return now - self.peer.last_heard < self.settings.silence
@@ -244,17 +249,7 @@ class Link:
 
     def rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> Message:
         """SET_ATTITUDE_TARGET with body rates, FLU, rad/s, and thrust, 0..1, clipped; all finite."""
-        x, y, z = (float(value) for value in rate_body)
-        return mavlink.MAVLink_set_attitude_target_message(
-            int(time.monotonic() * 1e3) & 0xFFFFFFFF,
-            *(self.peer.address or (0, 0)),
-            _RATES_AND_THRUST,
-            (1.0, 0.0, 0.0, 0.0),
-            x,
-            -y,
-            -z,
-            min(1.0, max(0.0, float(thrust))),
-        )
+        return rate_setpoint_message(self.peer.address or (0, 0), rate_body, thrust, time.monotonic())
 
     def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Send a STATUSTEXT of any length."""

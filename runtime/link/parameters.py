@@ -9,8 +9,8 @@ from math import isclose
 import msgspec
 
 from runtime.link.dialect import Message, mavlink
-from runtime.link.link import Link
 from runtime.link.telemetry import enum_name
+from runtime.link.vehicle_link import VehicleLink
 
 _FORMATS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
@@ -54,7 +54,7 @@ def encode_value(value: float, kind: int) -> float:
     return float(struct.unpack("<f", data)[0])
 
 
-def read_parameter(link: Link, name: str, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
+def read_parameter(link: VehicleLink, name: str, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
     """Read a parameter; its error is no_answer if the vehicle does not answer."""
 
     def request(attempt: int) -> Message:
@@ -65,12 +65,12 @@ def read_parameter(link: Link, name: str, *, timeout: float = 0.5, attempts: int
     return answer or Parameter(name, None, error="no_answer")
 
 
-def read_parameters(link: Link, names: Iterable[str]) -> dict[str, Parameter]:
+def read_parameters(link: VehicleLink, names: Iterable[str]) -> dict[str, Parameter]:
     """Read parameters one after the other."""
     return {name: read_parameter(link, name) for name in names}
 
 
-def set_parameter(link: Link, name: str, value: float, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
+def set_parameter(link: VehicleLink, name: str, value: float, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
     """Set a parameter in the vehicle's own type for it. Returns what the vehicle reports then.
 
     Its error is not_taken if that is another value.

@@ -155,21 +155,29 @@ class Recorder:
         attachments: Mapping[str, str] | None = None,
         capacity: int = RING_CAPACITY,
         opener: Opener = open_unbuffered,
+        simulated_epoch: float | None = None,
     ) -> None:
-        """Open `name`.mcap and `name`.tlog in a directory, which is created. Raises OSError if that fails."""
+        """Open `name`.mcap and `name`.tlog in a directory, which is created. Raises OSError if that fails.
+
+        simulated_epoch: unix time at time 0 of a flight in simulated time, s; such a flight waits for its recording,
+            which is written by its own thread and so always the same. None for the clock's time.
+        """
         directory.mkdir(parents=True, exist_ok=True)
         self.path = directory / f"{name}.mcap"
         self.dropped = 0
         self._failure = ""
         self._capacity = capacity
         self._ring: deque[tuple[float, Record | bytes]] = deque()
-        self._unix_offset = time.time() - time.monotonic()
+        self._simulated = simulated_epoch is not None
+        self._unix_offset = time.time() - time.monotonic() if simulated_epoch is None else simulated_epoch
+        self._flushed = 0.0
         self._mcap_file = SafeFile(self.path, opener)
         self._tlog = SafeFile(self.path.with_suffix(".tlog"), opener)
         self._mcap = McapFile(self._mcap_file, metadata, attachments or {})
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        if not self._simulated:
+            self._thread.start()
 
     @property
     def trouble(self) -> str:
@@ -184,22 +192,29 @@ class Recorder:
 
     def put(self, record: Record, time_monotonic: float) -> None:
         """Pass a record to the writer; a full ring drops and counts it. Its arrays must not change later."""
-        if len(self._ring) >= self._capacity:
-            self.dropped += 1
-            return
-        self._ring.append((time_monotonic, record))
+        self._add(time_monotonic, record)
 
     def put_frame(self, frame: bytes, time_monotonic: float) -> None:
         """Pass a raw MAVLink frame of either direction to the .tlog."""
+        self._add(time_monotonic, frame)
+
+    def _add(self, time_monotonic: float, item: Record | bytes) -> None:
         if len(self._ring) >= self._capacity:
             self.dropped += 1
             return
-        self._ring.append((time_monotonic, frame))
+        self._ring.append((time_monotonic, item))
+        if self._simulated and time_monotonic - self._flushed >= FLUSH_PERIOD:
+            self._flushed = time_monotonic
+            self._drain()
+            self._flush()
 
     def close(self) -> None:
         """Write what is pending and the index, and end the thread."""
         self._stopping.set()
-        self._thread.join()
+        if self._simulated:
+            self._run()
+        else:
+            self._thread.join()
 
     def _run(self) -> None:
         try:

@@ -1,27 +1,28 @@
-"""Flights of the demo's manoeuvres: over MAVLink on the mock in real time, or in lockstep without a link."""
+"""Flights of the demo's manoeuvres on the mock: in simulated time, or over a link against the clock."""
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
-import numpy as np
 
 from dynamics.errors import RequestError, VehicleError
-from dynamics.own_effects import catalogue_of
-from dynamics.references import check_feasibility, named_reference
-from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
+from dynamics.references import named_reference
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 from runtime.control.controller import Controller
 from runtime.daemon import Daemon
 from runtime.flight.composition import Controllers
+from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
-from runtime.flight_setup import FlightSetup, prepare_flight
+from runtime.flight_request import FlightReport
+from runtime.flight_setup import FlightSetup, PreparedFlight, prepare_flight
+from simulation.daemon_flight import EPOCH, fly_in_simulated_time
 from simulation.mock_process import mock_process
+from simulation.starvation import StarvationMeter
 from sitl_mock.mock import MockOptions
 from studies.demo.result import FlownManoeuvre
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
@@ -31,7 +32,8 @@ Announce = Callable[[str], None]
 BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0, origin="takeoff")
 PX4_HEIGHT = 2.5  # m, of the lowest point on an estimate whose height is a metre off (benchmarks/start_height.py)
 FINDING_PATIENCE = 30.0  # s for the vehicle's first heartbeat
-OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre by default
+NOWHERE = "udpin:127.0.0.1:14540"  # the link in a recording of a flight without one
+STARVED = HealthLimits().stale  # s without the processor from which on the flight logic misses estimates
 NOMINAL, LEARNED = "nominal", "learned"  # the model of a flight, part of its file name
 OWN_RECORDING = re.compile(rf"\d{{8}}-\d{{6}}_({NOMINAL}|{LEARNED})_")
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {NOMINAL: TRACKING_NOMINAL, LEARNED: TRACKING_LEARNED}
@@ -42,104 +44,164 @@ class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     folder: for output.
     effects: hidden from the controller.
-    duration: s of each manoeuvre; None for as many as diagnosis needs, in lockstep more, because the way to and from
-        the manoeuvre is not recorded there.
+    duration: of each manoeuvre, s.
     rate: of control, Hz.
-    lockstep: fly in simulated time, without a link.
+    realtime: fly over a link against the clock, not in simulated time.
     learn: whether to continue after the flights with the nominal model.
+    jobs: processes that fly in simulated time.
     """
 
     folder: Path
     vehicle: str = "arpl_250g"
     effects: tuple[str, ...] = ("rotor_drag:coefficient=2.2e-5", "parasitic_drag:coefficient=0.01")
     manoeuvres: tuple[str, ...] = ("Ellipse_2", "WarpedEllipse_2", "Lemniscate")
-    duration: float | None = None
+    duration: float = 10.0
     rate: float = 100.0
     seed: int = 1
-    lockstep: bool = False
+    realtime: bool = False
     learn: bool = True
+    jobs: int = 2
+
+
+class FlightTask(msgspec.Struct, frozen=True):
+    """One flight of the demo in simulated time.
+
+    manoeuvre: its name.
+    vehicle: the controller's file.
+    model: NOMINAL or LEARNED, the kind of that file.
+    file: name of the recording; empty for the flight on PX4's estimate, which has none.
+    """
+
+    options: DemoOptions
+    manoeuvre: str
+    vehicle: str
+    model: str
+    file: str = ""
 
     @property
-    def seconds(self) -> float:
-        """Duration of each manoeuvre, s."""
-        if self.duration is not None:
-            return self.duration
-        return IN_LOCKSTEP if self.lockstep else OVER_LINK
+    def title(self) -> str:
+        """The flight in words."""
+        return f"{self.manoeuvre}, {self.model}{'' if self.file else ', PX4 estimate'}"
 
 
-class Pilot(Protocol):
-    """Flies one manoeuvre with the model of a vehicle file."""
+class TaskOutcome(msgspec.Struct, frozen=True):
+    """The outcome of a task.
 
-    def __call__(self, name: str, vehicle: str, model: str) -> FlownManoeuvre:
-        """Fly a manoeuvre.
+    flown: of a flight with a recording.
+    px4_rmse: of a flight on PX4's estimate.
+    lines: that the flight announced.
+    error: why it did not end as it should, empty if it did.
+    """
 
-        name: of the manoeuvre.
-        vehicle: the controller's file.
-        model: NOMINAL or LEARNED, the kind of that file.
+    flown: FlownManoeuvre | None = None
+    px4_rmse: float | None = None
+    lines: tuple[str, ...] = ()
+    error: str = ""
 
-        Raises VehicleError when the flight does not end as it should.
-        """
-        ...
+
+def tasks_of(options: DemoOptions, vehicle: str, model: str, stamp: str) -> list[FlightTask]:
+    """The flights in simulated time with one model: the manoeuvres, and the same on PX4's estimate.
+
+    stamp: date and time of the demo, for the recordings' names.
+    """
+    tasks = []
+    if not options.realtime:
+        for number, name in enumerate(options.manoeuvres):
+            file = recording_name(stamp, model, number, name)
+            tasks.append(FlightTask(options, name, vehicle, model, file))
+    return tasks + [FlightTask(options, name, vehicle, model) for name in options.manoeuvres]
+
+
+def fly_task(task: FlightTask) -> TaskOutcome:
+    """Fly one task, in any process. An error of the vehicle is part of the outcome: which one counts is not chance."""
+    options, name = task.options, task.manoeuvre
+    if not task.file:
+        return TaskOutcome(px4_rmse=rmse_on_px4_estimate(name, task.vehicle, options))
+    lines: list[str] = []
+    mock = MockOptions(find_vehicle(options.vehicle), effects=options.effects, seed=options.seed, epoch=EPOCH)
+    try:
+        flight = _prepared(name, task.vehicle, task.model, NOWHERE, options, task.file)
+        report = fly_in_simulated_time(flight, mock, lines.append)
+        flown = _flown(name, task.model, flight, report, options)
+    except VehicleError as error:
+        return TaskOutcome(lines=tuple(lines), error=str(error))
+    return TaskOutcome(flown=flown, lines=tuple(lines))
+
+
+def fly_over_link(
+    options: DemoOptions,
+    vehicle: str,
+    model: str,
+    stamp: str,
+    announce: Announce,
+    started: Callable[[str, float], None],
+) -> list[FlownManoeuvre]:
+    """Every manoeuvre against the clock, on a vehicle with a full battery.
+
+    started: called with the title of each flight as it begins, and the share of flights before it.
+
+    Raises VehicleError for the first flight that does not end as it should; where the host withheld the processors, for
+    that alone.
+    """
+    hidden = [part for text in options.effects for part in ("--effect", text)]
+    flown = []
+    with naming_starvation(), mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
+        for number, name in enumerate(options.manoeuvres):
+            started(f"{name}, {model}", number / len(options.manoeuvres))
+            file = recording_name(stamp, model, number, name)
+            flight = _prepared(name, vehicle, model, mock.url, options, file)
+            report = Daemon(flight.request, flight.vehicle, flight.reference, announce).fly()
+            flown.append(_flown(name, model, flight, report, options))
+    return flown
 
 
 @contextmanager
-def pilot(options: DemoOptions, announce: Announce) -> Iterator[Pilot]:
-    """The pilot of a simulated vehicle with the hidden effects. Raises VehicleError when the vehicle's process ends."""
-    if options.lockstep:
-        yield lambda name, vehicle, model: _in_lockstep(name, vehicle, model, options)
-        return
-    hidden = [part for text in options.effects for part in ("--effect", text)]
-    with mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
-        yield lambda name, vehicle, model: _over_link(name, vehicle, model, mock.url, options, announce)
+def naming_starvation(meter: StarvationMeter | None = None) -> Iterator[None]:
+    """Where the host withheld the processors, that is the error in place of any other: such a flight shows nothing."""
+    meter, start = meter or StarvationMeter(), time.monotonic()
+    meter.start()
+    try:
+        yield
+    except VehicleError as error:
+        starvation = meter.since(start)
+        if starvation.longest < STARVED:
+            raise
+        raise VehicleError(
+            f"this machine was too busy for a flight in real time: {starvation}. Run it again when other programs take "
+            "less, or without --realtime."
+        ) from error
+    finally:
+        meter.stop()
 
 
-def _over_link(
-    name: str, vehicle: str, model: str, link: str, options: DemoOptions, announce: Announce
-) -> FlownManoeuvre:
+def _prepared(name: str, vehicle: str, model: str, link: str, options: DemoOptions, file: str) -> PreparedFlight:
     setup = FlightSetup(
         link=link,
         reference=name,
         vehicle=vehicle,
-        duration=options.seconds,
+        duration=options.duration,
         rate=options.rate,
         record=_recordings(options),
         timeout=FINDING_PATIENCE,
     )
+    # the identified model may call a manoeuvre infeasible that has just been flown
     flight = prepare_flight(setup, flown_before=model == LEARNED)
-    plan = msgspec.structs.replace(BRISK, duration=options.seconds)
-    request = msgspec.structs.replace(flight.request, name=_file_name(name, model), plan=plan)
-    report = Daemon(request, flight.vehicle, flight.reference, announce).fly()
+    plan = msgspec.structs.replace(BRISK, duration=options.duration)
+    return msgspec.structs.replace(flight, request=msgspec.structs.replace(flight.request, name=file, plan=plan))
+
+
+def _flown(name: str, model: str, flight: PreparedFlight, report: FlightReport, options: DemoOptions) -> FlownManoeuvre:
+    """The figures of a flight. Raises VehicleError for one that did not end as it should."""
     if not report.landed or report.landing_reason or not report.tracking.samples:
         why = f"{report.outcome} {report.landing_reason}".strip()
-        raise VehicleError(f"the flight of {name} with the {model} model ended early: {why}. {_too_much(options)}")
+        hidden = ", ".join(options.effects) or "nothing"
+        raise VehicleError(
+            f"the flight of {name} with the {model} model ended early: {why}. The vehicle hides {hidden}. Hide less, "
+            "or name gentler manoeuvres with --manoeuvre."
+        )
     tracking = report.tracking
     errors = (tracking.speed_max, tracking.position_rmse, tracking.position_max)
     return FlownManoeuvre(name, *errors, _paper(flight.reference.name, model), report.recording or "")
-
-
-def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> FlownManoeuvre:
-    from flights import Flight
-    from simulation.lockstep import fly_reference  # it imports the readers of logs, which a flight computer lacks
-
-    body = read_vehicle(find_vehicle(options.vehicle))
-    controller = Controller.build(read_vehicle(find_vehicle(vehicle)))
-    reference = named_reference(name, controller.trim, duration=options.seconds)
-    if model == NOMINAL:  # the identified model may call a manoeuvre infeasible that has just been flown
-        check_feasibility(reference, controller.trim).require()
-    effects = [parse_effect(text, body.rotors.count, catalogue=catalogue_of(body)) for text in options.effects]
-    flown = fly_reference(body, reference, effects=effects, seed=options.seed, name=name, controller=controller)
-    if flown.aborted:
-        raise VehicleError(
-            f"the flight of {name} with the {model} model ended early: {flown.aborted}. {_too_much(options)}"
-        )
-    flight = Flight.from_log(flown.log)
-    folder = _recordings(options)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = flight.to_csv(folder / f"{_file_name(name, model)}.csv")
-    error = np.linalg.norm(flight["position"] - flight["position_setpoint"], axis=1)  # NaN where a row lacks one
-    speed = float(np.nanmax(np.linalg.norm(flight["velocity"], axis=1)))
-    errors = (speed, float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(error)))
-    return FlownManoeuvre(name, *errors, _paper(reference.name, model), str(path))
 
 
 def rmse_on_px4_estimate(name: str, vehicle: str, options: DemoOptions) -> float | None:
@@ -155,8 +217,8 @@ def rmse_on_px4_estimate(name: str, vehicle: str, options: DemoOptions) -> float
     mock = MockOptions(find_vehicle(options.vehicle), effects=options.effects, estimator="px4", seed=options.seed)
     flight = fly_whole(
         mock,
-        named_reference(clear_of_the_ground(name), model, duration=options.seconds),
-        plan=msgspec.structs.replace(BRISK, duration=options.seconds, height=PX4_HEIGHT),
+        named_reference(clear_of_the_ground(name), model, duration=options.duration),
+        plan=msgspec.structs.replace(BRISK, duration=options.duration, height=PX4_HEIGHT),
         controllers=Controllers(Controller.build(model)),
     )
     return flight.tracking_error(flight.estimate) if flight.landed and not flight.landing_reason else None
@@ -191,15 +253,15 @@ def clear_old_files(options: DemoOptions) -> None:
         raise RequestError(f"cannot delete an earlier demo's {error.filename}: {error.strerror}.") from None
 
 
-def _file_name(name: str, model: str) -> str:
-    """Date, time, model and the reference's name, without characters that a file name cannot have."""
-    plain = "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in name)
-    return f"{time.strftime('%Y%m%d-%H%M%S')}_{model}_{plain}"
+def recording_name(stamp: str, model: str, number: int, manoeuvre: str) -> str:
+    """Date and time of the demo, model, number and manoeuvre, without characters that a file name cannot have.
+
+    number: the manoeuvre's place, which keeps apart those that are flown twice.
+    """
+    plain = "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in manoeuvre)
+    return f"{stamp}_{model}_{number + 1}_{plain}"
 
 
-def _too_much(options: DemoOptions) -> str:
-    hidden = ", ".join(options.effects) or "nothing"
-    return (
-        f"The vehicle hides {hidden}. Hide less, name gentler manoeuvres with --manoeuvre, or leave the machine more "
-        "time."
-    )
+def first_error(outcomes: Sequence[TaskOutcome]) -> str:
+    """The error of the first task that has one, whichever was finished first; empty without any."""
+    return next((outcome.error for outcome in outcomes if outcome.error), "")

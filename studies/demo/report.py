@@ -153,11 +153,11 @@ def closing_lines(report: DemoReport) -> list[str]:
 
 
 def _text(report: DemoReport, files: list[Path]) -> str:
-    how = "in simulated time, without a link" if report.lockstep else "over MAVLink (UDP) on the mock flight controller"
+    how = "in simulated time, by MAVLink's bytes," if report.lockstep else "over MAVLink (UDP), against the clock,"
     lines = [
         "# Alula demo: a vehicle with a hidden effect, flown with the nominal and with the identified model",
         "",
-        f"Vehicle {report.vehicle}, flown {how}. Hidden from the controller: "
+        f"Vehicle {report.vehicle}, flown {how} on the mock flight controller. Hidden from the controller: "
         f"{', '.join(report.hidden_effects) or 'nothing'}. Seed {report.seed}.",
         "",
         "Tracking: position RMSE against the reference, with a pose as from motion capture. The last column is the "

@@ -38,7 +38,7 @@ from tests.support.reader_folder import prepare_reader_folder
 
 SHORTER: Mapping[str, Mapping[str, str]] = {  # options of a command in place of the page's own; "": a flag
     "campaign": {"--flights": "Ellipse_1", "--jobs": "1"},
-    "demo": {"--lockstep": "", "--no-learn": "", "--manoeuvre": "hover", "--duration": "5"},  # tests/studies flies it
+    "demo": {"--no-learn": "", "--manoeuvre": "hover", "--duration": "5"},  # tests/studies flies it
     "evaluate": {"--no-timing": ""},
     "export": {"--windows": "10", "--no-flight-check": "", "--processor": "native"},  # tests/export has the rest
     "fly": {"--duration": "1", "--height": "0.6", "--processor": "0"},
@@ -58,6 +58,7 @@ STANDS_FOR = {
 FEWER = {"inertia": "ablation"}  # a study of 4 trainings for one of 50
 QUICK = ("alula effects", "alula vehicle show")
 NOT_RUN = {  # command as a page has it -> why it is only looked up
+    "alula demo --realtime": "tests/studies/test_demo_over_a_link.py flies it",
     "alula train ... --device cuda": "a GPU for each of two processes",
 }
 ON_A_LINK = ("fly", "link", "mock")

@@ -25,13 +25,14 @@ from dynamics.errors import VehicleError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime import daemon as daemon_module
-from runtime.daemon import Daemon, FlightReport, FlightRequest
+from runtime.daemon import Daemon
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
+from runtime.flight_request import FlightReport, FlightRequest
 from runtime.link.connection import parse_endpoint
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
@@ -266,7 +267,8 @@ import sys
 import numpy as np
 from dynamics.vehicle_file import read_vehicle
 from runtime.link.connection import parse_endpoint
-from runtime.daemon import Daemon, FlightRequest
+from runtime.daemon import Daemon
+from runtime.flight_request import FlightRequest
 from runtime.flight.motion import Transfer
 vehicle = read_vehicle(sys.argv[1])
 reference = Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from tests.support.starvation import read_accounts
+from simulation.starvation import read_accounts
 
 
 class Deadline:

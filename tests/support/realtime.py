@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from _pytest.runner import call_and_report
 
-from tests.support.starvation import MIN_OTHERS, Starvation, StarvationMeter, read_accounts
+from simulation.starvation import MIN_OTHERS, Starvation, StarvationMeter, read_accounts
 
 MAX_ATTEMPTS = 4
 QUIET_PATIENCE = 5.0  # s to wait before a repetition for the other programs to end

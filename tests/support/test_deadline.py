@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from simulation.starvation import Accounts
 from tests.support import deadline
 from tests.support.deadline import Deadline, wait_until
-from tests.support.starvation import Accounts
 
 
 @pytest.fixture

@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from simulation.starvation import Accounts, StarvationMeter, Window, read_accounts, starvation_of
 from tests.support.realtime import MAX_ATTEMPTS
-from tests.support.starvation import Accounts, StarvationMeter, Window, read_accounts, starvation_of
 
 pytest_plugins = ("pytester",)
 
 CONFTEST = """
 from tests.support.realtime import RealtimePlugin
-from tests.support.starvation import Starvation
+from simulation.starvation import Starvation
 
 class ScriptedMeter:
     starved = iter({starved})
