@@ -21,7 +21,6 @@ IMPOSED = frozenset({"tell"})  # by Python's file objects
 PARTS, NAMES = "## Words that no part of an identifier is", "## Words that are no name by themselves"
 OPENINGS = ("What ", "The same", "That of ", "Those ")
 TESTS = "tests/"
-PENDING = ("simulation/", "studies/demo/", "alula/cli/demo")  # docstrings that are rewritten with their code
 NOT_CODE = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.DOTALL)  # comments and strings of C
 
 
@@ -100,7 +99,7 @@ def complaints(path: str, text: str) -> Iterator[tuple[int, str]]:
         return
     tree = ast.parse(text)
     yield from refused_names(iter([(1, Path(path).stem), *defined_names(tree)]))
-    if not path.startswith((TESTS, *PENDING)):
+    if not path.startswith(TESTS):
         yield from unnamed_docstrings(tree)
 
 

@@ -48,7 +48,7 @@ REPORTS = (  # that functions return as they are
     ("simulation.versions_in_flight", "VersionsInFlight"),
     ("simulation.trial_flight", "TrialFlight"),
     ("simulation.lockstep", "FlownReference"),
-    ("runtime.daemon", "FlightReport"),
+    ("runtime.flight_request", "FlightReport"),
 )
 TYPES = ("Vehicle", "EffectUse", "Effect", "Flight", "Log")
 ERRORS = ("AlulaError", "RequestError", "DataError", "VehicleError")

@@ -211,7 +211,7 @@ def _track(
 
 
 def quiet_observation(tick: int, now: float, **more: Any) -> ObservationRecord:
-    """What the daemon sees of an armed vehicle in offboard mode that reports nothing else; more: fields that differ."""
+    """Observation of an armed vehicle in offboard mode that reports nothing else; more: fields that differ."""
     usual = ObservationRecord(
         tick=tick,
         time=now,

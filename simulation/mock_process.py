@@ -44,7 +44,7 @@ class MockProcess:
         return f"udpin:127.0.0.1:{self.port}"
 
     def output(self) -> str:
-        """What it has printed."""
+        """Everything it has printed."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:

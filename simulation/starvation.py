@@ -45,7 +45,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Starvation:
-    """What the host withheld over a time.
+    """Processor time that the host withheld over a time.
 
     lost: sum over the windows, s.
     longest: most in one window, s.
@@ -98,7 +98,7 @@ class Accounts:
     stolen: float
 
     def since(self, before: Accounts) -> Window:
-        """What happened between two readings; a thread that is new in this one has all its time counted."""
+        """Change between two readings; a thread that is new in this one has all its time counted."""
         run = wait = 0.0
         for thread, (ran, waited) in self.threads.items():
             ran_before, waited_before = before.threads.get(thread, (0.0, 0.0))
@@ -173,7 +173,7 @@ class StarvationMeter:
             self._thread = None
 
     def since(self, start: float) -> Starvation:
-        """What was withheld from a time (monotonic, s) until now."""
+        """Time that was withheld from a time (monotonic, s) until now."""
         if self.is_running:
             self._read()
         return starvation_of([window for window in self.windows if window.end > start])

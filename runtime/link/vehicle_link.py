@@ -14,7 +14,7 @@ Answer = TypeVar("Answer")
 
 
 class VehicleLink(Protocol):
-    """What commands, parameters and the control loop need of a link.
+    """Needs of commands, parameters and the control loop of a link.
 
     peer: the vehicle, as far as it was heard.
     """

@@ -1,4 +1,4 @@
-"""What the demo measured: flights, prediction errors, and what was added to the vehicle file."""
+"""Results of the demo: flights, prediction errors, and what was added to the vehicle file."""
 
 from __future__ import annotations
 
