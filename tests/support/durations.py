@@ -1,7 +1,7 @@
-"""Seconds of each test of a run with workers, in build/durations.json: the slowest are looked up, not guessed.
+"""Seconds of each test of a run with workers, in build/durations.json, so that the slowest are looked up, not guessed.
 
-The file maps a test's name to the seconds of its setup, call and teardown. It is also written while tests run: a run
-that was cut off leaves what it had.
+The file maps a test's name to the seconds of its setup, call and teardown, and lists the tests that failed. It is also
+written while tests run: a run that was cut off leaves what it had.
 """
 
 from __future__ import annotations
@@ -24,12 +24,15 @@ class Durations:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._seconds: dict[str, list[float]] = {}
+        self._failed: list[str] = []
         self._written = time.monotonic()
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add one phase of one test."""
         phases = self._seconds.setdefault(report.nodeid, [0.0] * len(PHASES))
         phases[PHASES.index(report.when)] += report.duration
+        if report.failed:
+            self._failed.append(report.nodeid)
         if time.monotonic() - self._written > BETWEEN_WRITES:
             self.pytest_sessionfinish()
 
@@ -38,7 +41,7 @@ class Durations:
         self._written = time.monotonic()
         self._path.parent.mkdir(exist_ok=True)
         rounded = {name: [round(phase, 3) for phase in phases] for name, phases in sorted(self._seconds.items())}
-        write_json({"phases": PHASES, "seconds": rounded}, self._path)
+        write_json({"failed": self._failed, "phases": PHASES, "seconds": rounded}, self._path)
 
 
 def pytest_configure(config: pytest.Config) -> None:
