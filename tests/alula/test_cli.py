@@ -79,7 +79,7 @@ def test_what_the_command_line_does_not_know_is_a_wrong_request(run, arguments):
 def test_a_file_that_is_not_there_ends_with_a_message_and_code_2(run, tmp_path):
     code, _, message = run("mock", "--vehicle", str(tmp_path / "absent.toml"))
     assert code == 2
-    assert "cannot read the vehicle file" in message
+    assert "there is no vehicle file" in message
 
 
 @pytest.mark.parametrize(("error", "code"), [(RequestError, 2), (DataError, 3), (VehicleError, 4), (AlulaError, 1)])

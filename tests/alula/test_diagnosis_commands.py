@@ -78,7 +78,16 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
     assert "one flight only" not in shown
     verdict = json.loads(file.read_text())
     contract = {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
-    added = {"refused", "candidates", "leftover", "rotors", "next_reference", "command_gain", "in_flight"}
+    added = {
+        "refused",
+        "candidates",
+        "leftover",
+        "rotors",
+        "next_reference",
+        "command_gain",
+        "in_flight",
+        "alula_version",
+    }
     assert set(verdict) == contract | added
     assert "mass" in [one["name"] for one in verdict["candidates"][:3]]
     assert verdict["verdict"] in ("effect", "ambiguous")
@@ -113,6 +122,7 @@ def test_add_without_an_effect_adds_the_first_one_and_writes_errors_before_and_a
     assert code == 0, message
     addition = json.loads(file.read_text())
     assert set(addition) == {
+        "alula_version",
         "effect",
         "effects",
         "parameters",

@@ -49,7 +49,7 @@ def test_as_a_module_alula_starts_beside_folders_and_files_of_any_name(tmp_path:
         make(tmp_path, room)
     done = run(tmp_path, "-m", "alula", "mock", "--vehicle", "absent.toml")
     assert done.returncode == 2
-    assert "cannot read the vehicle file absent.toml" in done.stderr
+    assert "there is no vehicle file absent.toml" in done.stderr
     assert "Traceback" not in done.stderr
 
 
@@ -57,7 +57,7 @@ def test_export_runs_beside_a_folder_called_export(tmp_path: Path) -> None:
     own_folder(tmp_path, "export")
     done = run(tmp_path, "-m", "alula", "export", "absent.toml", "--out", "bundle")
     assert done.returncode == 2
-    assert "cannot read the vehicle file absent.toml" in done.stderr
+    assert "there is no vehicle file absent.toml" in done.stderr
 
 
 def test_the_script_starts_beside_folders_of_any_name(tmp_path: Path) -> None:

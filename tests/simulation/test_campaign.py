@@ -135,7 +135,7 @@ def test_flights_are_chosen_by_name_pattern_and_split() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"vehicle": "no_such.toml"}, "cannot read the vehicle file"),
+        ({"vehicle": "no_such.toml"}, "there is no vehicle file"),
         ({"effects": ("rotor_drug",)}, "rotor_drug"),
         ({"scenario": Path("no_such.toml")}, "cannot read the scenario"),
     ],

@@ -326,7 +326,7 @@ def test_a_request_that_cannot_be_met_names_the_remedy(run: Run, tmp_path: Path)
         (("--fleet", tmp_path / "empty"), 2, "no log there"),
         (("--fleet", tmp_path / "none"), 2, "is no folder"),
         (("--fleet", stray), 3, "none of 1 logs could be diagnosed, the first since: no vehicle.toml"),
-        (("--fleet", stray, "--vehicle", "none.toml"), 2, "cannot read the vehicle file"),
+        (("--fleet", stray, "--vehicle", "none.toml"), 2, "there is no vehicle file"),
         (("--fleet", stray, "--hold-out", "h*"), 2, "--hold-out with --fleet"),
         (("--fleet", stray, "--scheduler", "tcp://127.0.0.1:9", "--vehicle", "arpl_250g"), 2, "no Dask scheduler"),
         (("--fleet", stray, "--mapping", "none.toml", "--vehicle", "arpl_250g"), 2, "cannot read the mapping"),
