@@ -177,7 +177,7 @@ def test_air_that_moves_nothing_by_what_matters_is_no_gust(arpl_250g):
         if answer is not None:
             assert (answer.reason, answer.where, answer.parameters) == ("too_small", "imu", {name: intensity})
             assert answer.detail == pytest.approx({"signal": 2.0 * intensity, "floor": 1.0})
-            assert "moves imu by" in reason_of(answer)
+            assert "moves accelerometer by" in reason_of(answer)
 
 
 def test_air_that_turns_the_vehicle_and_hardly_pushes_it_is_no_gust(arpl_250g):
