@@ -82,7 +82,7 @@ def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
         ("[regimes]\nquantiles = [0.01, 1.99]", "quantiles\\[1\\] must be a number at most 1.0"),
         (
             "[command_curve]\ncommand_percentiles = [1.0, 199.0]",
-            "command_percentiles\\[1\\] must be a number at most 100.0",
+            "percentiles\\[1\\] must be a number at most 100.0",
         ),
         ("[search]\nmin_gain = 'high'", "search.min_gain holds a text; wanted is a number"),
         ("[search", "cannot use the thresholds"),
