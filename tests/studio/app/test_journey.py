@@ -64,6 +64,15 @@ def _require_accessible(page: Page) -> None:
     assert not findings, [(v["id"], v["nodes"][0]["html"]) for v in findings]
 
 
+def _use_px4_sih(page: Page) -> None:
+    """Choose the vehicle once the progress bar above is gone: the page moves up by it, under a click on its way."""
+    _wait(page, "check", "done")
+    expect(page.locator("#work [role=progressbar]")).to_have_count(0)
+    page.get_by_role("textbox", name="A bundled vehicle").click()
+    page.get_by_role("option", name="px4_sih").click()
+    page.get_by_role("button", name="Use it").click()
+
+
 def _numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
 
@@ -85,9 +94,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.get_by_role("button", name="New case").click()
     _drop(page, "drop-logs", files)
     expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible(timeout=PATIENCE)
-    page.get_by_role("textbox", name="A bundled vehicle").click()
-    page.get_by_role("option", name="px4_sih").click()
-    page.get_by_role("button", name="Use it").click()
+    _use_px4_sih(page)
     _wait(page, "compare", "done")
     assert require_drawn(page, widths) == ["log-lines"]
 
@@ -207,9 +214,7 @@ def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
     page.get_by_label("Name").fill("half typed")
     expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible()
     expect(page.get_by_label("Name")).to_have_value("half typed")  # what was read meanwhile leaves it
-    page.get_by_role("textbox", name="A bundled vehicle").click()
-    page.get_by_role("option", name="px4_sih").click()
-    page.get_by_role("button", name="Use it").click()
+    _use_px4_sih(page)
     _wait(page, "compare", "done")
     _go(page, "diagnose")
     page.get_by_role("button", name="Diagnose", exact=True).click()
