@@ -223,7 +223,7 @@ def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_inf
         ({"manoeuvres": ("Lemniskate",)}, "did you mean 'Lemniscate'"),
         ({"manoeuvres": ()}, "no manoeuvre"),
         ({"effects": ("rotor_dragg",)}, "did you mean 'rotor_drag'"),
-        ({"vehicle": "absent.toml"}, "cannot read"),
+        ({"vehicle": "absent.toml"}, "there is no vehicle file"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_before_anything_starts(tmp_path: Path, change: dict, message: str) -> None:
