@@ -210,8 +210,11 @@ def test_a_vehicle_without_a_clock_is_heard_once_it_has_heard_us() -> None:
     """PX4 begins with the timestamp of the day on which it got its key, and cannot be believed before it hears ours."""
     with open_link() as link, FakeVehicle(address_of(link), key=SECRET, timestamp=now() - 10**9) as vehicle:
         link.wait_for_vehicle(5.0)
-        vehicle.send_odometry(x=1.0)
-        assert link.wait_for_estimate(None, time.monotonic() + 5.0) is not None
+        for _ in range(50):  # a heartbeat of the other thread that was signed later may arrive before one
+            vehicle.send_odometry(x=1.0)
+            if link.wait_for_estimate(None, time.monotonic() + 0.1) is not None:
+                break
+        assert link.estimate is not None
         assert link.signing.counts["outdated"] >= 1
 
 
