@@ -1,5 +1,5 @@
-"""Draw the pages that docs/ shows: report.png of `alula demo`, diagnosis.png of the first tutorial's logs,
-studio_STEP.png of each step of the studio on the same logs, studio_fleet.png and studio_recording.png of results.
+"""Draw the pages that docs/ shows: report.png of `alula demo`, diagnosis.png of the question that README asks,
+studio_STEP.png of each step of the studio on the first tutorial's logs, studio_fleet.png and studio_recording.png of results.
 
 python -m docs.make_pictures [--studio]    # needs chromium; some minutes; the studio's alone
 """
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 PICTURES = Path(__file__).with_name("pictures")
 LOGS = (ROOT / "tests/data/px4_sih_flights").glob("drag2_*.ulg.gz")
+QUESTION = sorted((ROOT / "tests/data/px4_sih_flights").glob("lag90_*.ulg.gz"))
 RECORDING = ROOT / "tests/data/recorded_flight/flight.mcap"
 VEHICLE = ROOT / "vehicles/px4_sih.toml"
 WIDTH, HEIGHT = 1000, 1150
@@ -131,7 +132,7 @@ def main() -> None:
         draw_results(folder)
         if "--studio" in sys.argv[1:]:
             return
-        alula("diagnose", "logs", "--vehicle", "my_quad.toml", "--html", "diagnosis.html", folder=folder)
+        alula("diagnose", *QUESTION, "--vehicle", "px4_sih", "--html", "diagnosis.html", folder=folder)
         draw(folder / "diagnosis.html", PICTURES / "diagnosis.png", folder)
         alula("demo", "--out", "demo", folder=folder)
         draw(folder / "demo/report.html", PICTURES / "report.png", folder)

@@ -7,7 +7,7 @@ checks, publishes notifications, and turns signals into a landing.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from math import isnan
@@ -41,7 +41,7 @@ from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import VehicleStatus
-from runtime.preparation import estimates_keep_up, required_rates, slow_findings, use_rate_gains
+from runtime.preparation import SLOW_STREAMS, estimates_keep_up, required_rates, slow_findings, use_rate_gains
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord
 from runtime.request_worker import RequestWorker, link_handlers
@@ -60,14 +60,6 @@ STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that do
 REQUEST_PATIENCE = 2.5  # s in which the autopilot is to answer the last request, such as LAND
 PILOT_REMINDER = 10.0  # s between the lines that say that the pilot is to arm
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
-SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
-    "EXTENDED_SYS_STATE": 5.0,
-    "BATTERY_STATUS": 2.0,
-    "ESTIMATOR_STATUS": 2.0,
-    "ESC_STATUS": 100.0,
-    "SERVO_OUTPUT_RAW": 100.0,
-    "ATTITUDE_TARGET": 20.0,  # whose setpoints the autopilot follows
-}
 
 
 Announce = Callable[[str], None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from dynamics.errors import VehicleError
 from dynamics.vehicle import Vehicle
@@ -21,6 +21,14 @@ from runtime.telemetry_buffer import TelemetryBuffer
 MIN_RATE = 0.9  # of the rate of estimates that the flight requires
 MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 sends 124 Hz on a request for 200
 ESTIMATOR_AGE = 2.0  # s for which an ESTIMATOR_STATUS counts
+SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
+    "EXTENDED_SYS_STATE": 5.0,
+    "BATTERY_STATUS": 2.0,
+    "ESTIMATOR_STATUS": 2.0,
+    "ESC_STATUS": 100.0,
+    "SERVO_OUTPUT_RAW": 100.0,
+    "ATTITUDE_TARGET": 20.0,  # whose setpoints the autopilot follows
+}
 
 
 def required_rates(rate: float) -> dict[str, float]:

@@ -24,7 +24,7 @@ from runtime.flight_request import FlightReport
 from runtime.flight_setup import PreparedFlight
 from runtime.link.commands import arming_command, command_message, mode_command, request_rates, send_command
 from runtime.link.dialect import MESSAGE_IDS, mavlink
-from runtime.preparation import estimates_keep_up, required_rates, slow_findings, use_rate_gains
+from runtime.preparation import SLOW_STREAMS, estimates_keep_up, required_rates, slow_findings, use_rate_gains
 from runtime.record.recorder import Recorder
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Schedule
@@ -38,14 +38,6 @@ READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 SUPERVISION_PERIOD = 0.1  # s
 FURTHER = 90.0  # s that a flight may take beside its reference
 RING_CAPACITY = 1_000_000  # records and frames of less than a second
-SLOW_STREAMS: Mapping[str, float] = {  # Hz
-    "EXTENDED_SYS_STATE": 5.0,
-    "BATTERY_STATUS": 2.0,
-    "ESTIMATOR_STATUS": 2.0,
-    "ESC_STATUS": 100.0,
-    "SERVO_OUTPUT_RAW": 100.0,
-    "ATTITUDE_TARGET": 20.0,
-}
 # streams that neither a flight nor the reader of its recording uses, two fifths of what PX4 sends by default
 UNREAD = (
     "ATTITUDE",

@@ -47,7 +47,11 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = DEFAULT.seed,
     out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = DEFAULT.folder,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Fly over a UDP link against the clock: four minutes of a quiet machine.")
+        bool,
+        typer.Option(
+            "--realtime/--lockstep",
+            help="Fly over a UDP link against the clock, four minutes of a quiet machine, or in simulated time.",
+        ),
     ] = False,
     learn: Annotated[bool, typer.Option(help="Diagnose after the first flights, and fly again.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,

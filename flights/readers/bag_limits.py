@@ -1,11 +1,12 @@
 """The limits of all compressed files for bags: rosbags unpacks chunks, messages and files through the functions here.
 
-rosbags has no option for that; its tables of decompressors are replaced when this module is imported.
+rosbags has no option for that; its tables of decompressors are replaced when this module is imported. Whoever uses
+rosbags beside us, outside `limits_of`, has its own decompressors as before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -17,10 +18,11 @@ from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import reader as rosbag2
 from rosbags.rosbag2 import storage_mcap
 
-from dynamics.packed_chunks import unpacked
+from dynamics.packed_chunks import METHODS, unpacked
 from dynamics.unpacking import CHUNK, Unpacking
 
-_bag: ContextVar[Path] = ContextVar("bag")
+_bag: ContextVar[Path | None] = ContextVar("bag", default=None)
+_Method = Callable[..., bytes]
 
 
 @contextmanager
@@ -33,8 +35,14 @@ def limits_of(bag: Path) -> Iterator[None]:
         _bag.reset(token)
 
 
-def _chunk(content: bytes, method: str) -> bytes:
-    return unpacked(bytes(content), method, _bag.get())
+def _limited(method: str, usual: _Method) -> _Method:
+    """A decompressor within the limits of the bag that is being read; the usual one where none of ours is."""
+
+    def decompress(content: bytes, *arguments: Any) -> bytes:
+        bag = _bag.get()
+        return usual(content, *arguments) if bag is None else unpacked(bytes(content), method, bag)
+
+    return decompress
 
 
 class _LimitedFile:
@@ -60,10 +68,13 @@ class _LimitedFile:
         return part
 
 
-def _open(file: Any, _mode: str) -> _LimitedFile:
-    return _LimitedFile(file, Path(file.name))
+_zstd = rosbag2.zstd
 
 
-rosbag1.decompressors.update(bz2=lambda x: _chunk(x, "bz2"), lz4=lambda x: _chunk(x, "lz4"))
-storage_mcap.DECOMPRESSORS.update(lz4=lambda x, _: _chunk(x, "lz4"), zstd=lambda x, _: _chunk(x, "zstd"))
-rosbag2.zstd = SimpleNamespace(open=_open, decompress=lambda x: _chunk(x, "zstd"))
+def _open(file: Any, mode: str) -> Any:
+    return _zstd.open(file, mode) if _bag.get() is None else _LimitedFile(file, Path(file.name))
+
+
+for _table in (rosbag1.decompressors, storage_mcap.DECOMPRESSORS):
+    _table.update({name: _limited(name, usual) for name, usual in _table.items() if name in METHODS})
+rosbag2.zstd = SimpleNamespace(open=_open, decompress=_limited("zstd", _zstd.decompress))

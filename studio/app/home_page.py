@@ -52,8 +52,7 @@ def layout(studio: Studio) -> Any:
             card(
                 "For a first look",
                 action("example", "Open an example", variant="light"),
-                note="Two flights of a simulated PX4 quadrotor with twice the drag of its vehicle file; diagnosing "
-                "them takes a minute or two.",
+                note="Two flights of a simulated PX4 quadrotor with twice the drag of its vehicle file.",
             ),
             card("A new case", new, note=f"A case is a folder; new ones are made in {studio.root}."),
             card("Cases", html.Ul(rows) if rows else dmc.Text("none yet", c="dimmed")),

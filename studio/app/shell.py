@@ -126,7 +126,7 @@ def _frame() -> Any:
                 [
                     dmc.AppShellHeader(header),
                     dmc.AppShellNavbar(html.Nav(id="navigation", **{"aria-label": "steps"}), p="sm"),
-                    dmc.AppShellMain([html.Div(id="work", **{"aria-live": "polite"}), html.Div(id="main")]),
+                    dmc.AppShellMain([html.Div(id="main"), html.Div(id="work", **{"aria-live": "polite"})]),
                 ],
                 header={"height": 56},
                 navbar={"width": 220, "breakpoint": "sm", "collapsed": {"mobile": False}},

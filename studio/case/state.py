@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
 FORMAT = 1
@@ -62,7 +64,7 @@ class Options(msgspec.Struct, frozen=True):
     mapping: str = ""
     pose: str = ""
     hold_out: str = ""
-    system: str = ""
+    system: Annotated[str, msgspec.Meta(pattern="^([1-9][0-9]{0,2})?$")] = ""
 
 
 class CaseState(msgspec.Struct, frozen=True):

@@ -17,6 +17,7 @@ import pyarrow.parquet as pa_parquet
 import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -192,6 +193,14 @@ def test_a_bag_or_a_table_that_fills_the_memory_is_refused_while_it_is_unpacked(
     with pytest.raises(RequestError, match=r"unpacks to more than 100 times.*ALULA_UNPACK_RATIO"):
         read_log(bag)
     assert sum(counted) < 20_000_000
+
+
+@pytest.mark.parametrize("kind", [kind for kind in BOMBS if kind.startswith("ros")])
+def test_whoever_reads_bags_beside_us_has_the_librarys_own_decompressors(kind: str, tmp_path: Path) -> None:
+    bag = BOMBS[kind](tmp_path, 40_000_000)
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        ((_, _, content),) = reader.messages()
+    assert len(content) > 40_000_000
 
 
 @pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])

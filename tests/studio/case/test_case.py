@@ -115,7 +115,10 @@ def test_a_case_of_another_format_is_refused_and_left_as_it_is(case: Case) -> No
     assert json.loads(file.read_text())["format"] == 99
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"format": 1, "logs": 3}'])
+SYSTEM_OF_WORDS = '{"format": 1, "options": {"system": "1; rm"}}'
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"format": 1, "logs": 3}', SYSTEM_OF_WORDS])
 def test_a_damaged_case_is_refused(case: Case, text: str) -> None:
     case.close()
     (case.folder / "case.json").write_text(text)
