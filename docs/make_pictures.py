@@ -1,5 +1,6 @@
 """Draw the pages that docs/ shows: report.png of `alula demo`, diagnosis.png of the question that README asks,
-studio_STEP.png of each step of the studio on the first tutorial's logs, studio_fleet.png and studio_recording.png of results.
+studio_STEP.png of each step of the studio on the first tutorial's logs, studio_fleet.png and studio_recording.png of
+results.
 
 python -m docs.make_pictures [--studio]    # needs chromium; some minutes; the studio's alone
 """
