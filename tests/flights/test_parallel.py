@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -163,18 +165,25 @@ if __name__ == "__main__":
 WORK = 240.0  # s
 
 
-@pytest.mark.parametrize("whole_group", [False, True])
-def test_an_interrupt_does_not_wait_for_running_items(whole_group: bool, tmp_path: Path) -> None:
-    """A terminal interrupts all processes, `kill -INT` the first one alone."""
-    script = tmp_path / "waiting.py"
-    script.write_text(WAITING.replace("WORK", str(WORK)))
+@contextmanager
+def script_of(text: str, first_line: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A script that runs in a process group of its own and has printed its first line."""
+    script = folder / "script.py"
+    script.write_text(text)
     environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
     with subprocess.Popen(
         [sys.executable, script],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
     ) as process:  # fmt: skip
         assert process.stdout is not None
-        assert process.stdout.readline() == "begun\n"
+        assert process.stdout.readline() == f"{first_line}\n"
+        yield process
+
+
+@pytest.mark.parametrize("whole_group", [False, True])
+def test_an_interrupt_does_not_wait_for_running_items(whole_group: bool, tmp_path: Path) -> None:
+    """A terminal interrupts all processes, `kill -INT` the first one alone."""
+    with script_of(WAITING.replace("WORK", str(WORK)), "begun", tmp_path) as process:
         (os.killpg if whole_group else os.kill)(process.pid, signal.SIGINT)
         began = time.monotonic()
         _, wrong = process.communicate(timeout=WORK)
@@ -207,15 +216,7 @@ BEHIND_THE_STUDIO = """from studio.work.worker import Worker
 @pytest.mark.parametrize("how", [IN_A_POOL, BESIDE_A_TRAINING, BEHIND_THE_STUDIO], ids=["pool", "training", "studio"])
 @pytest.mark.parametrize("after", [0.1, 0.4, 0.8])
 def test_a_process_that_is_starting_prints_no_traceback_of_an_interrupt(how: str, after: float, tmp_path: Path) -> None:
-    script = tmp_path / "starting.py"
-    script.write_text(STARTING.replace("HOW", how))
-    environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}
-    with subprocess.Popen(
-        [sys.executable, script],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True,
-    ) as process:  # fmt: skip
-        assert process.stdout is not None
-        assert process.stdout.readline() == "starting\n"
+    with script_of(STARTING.replace("HOW", how), "starting", tmp_path) as process:
         while not any("spawn_main" in " ".join(child.cmdline()) for child in psutil.Process(process.pid).children()):
             time.sleep(0.01)
         time.sleep(after)  # while it imports

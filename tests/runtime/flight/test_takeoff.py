@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -57,36 +59,32 @@ def test_a_vehicle_that_cannot_lift_off_is_given_up() -> None:
     assert height == 0.0
 
 
+def with_gravity_alone(climb_rate: Callable[[int], float]) -> TakeoffRamp:
+    """The end of a ramp whose accelerometer shows gravity and noise. climb_rate: of the estimate at a tick, m/s."""
+    ramp = TakeoffRamp(WEIGHT, 4.8)
+    rng = np.random.default_rng(3)
+    height = 0.0
+    for tick in range(1000):
+        height += 0.01 * climb_rate(tick)
+        estimate = (height + 0.005 * rng.normal(), climb_rate(tick) + 0.03 * rng.normal())
+        ramp.update(0.01 * tick, *estimate, GRAVITY + 1.4 * rng.normal())
+        if ramp.lifted or ramp.failed:
+            break
+    return ramp
+
+
 def test_thrust_does_not_end_under_a_vehicle_that_climbs() -> None:
     """One that the greatest thrust of a take-off hardly lifts: its accelerometer shows little beside its noise.
 
     It climbs at 1 m/s, where drag takes the rest of the excess: gravity alone is felt, as on the ground.
     """
-    ramp = TakeoffRamp(WEIGHT, 4.8)
-    rng = np.random.default_rng(3)
-    height = 0.0
-    for tick in range(1000):
-        climb = 1.0 if tick > 320 else 0.0
-        height += 0.01 * climb
-        estimate = (height + 0.005 * rng.normal(), climb + 0.03 * rng.normal())
-        ramp.update(0.01 * tick, *estimate, GRAVITY + 1.4 * rng.normal())
-        if ramp.lifted or ramp.failed:
-            break
+    ramp = with_gravity_alone(lambda tick: 1.0 if tick > 320 else 0.0)
     assert ramp.lifted
     assert 0.5 < ramp.effectiveness < 0.8
 
 
 def test_an_estimate_that_drifts_up_for_a_while_is_no_lift_off_at_the_greatest_thrust() -> None:
-    ramp = TakeoffRamp(WEIGHT, 4.8)
-    rng = np.random.default_rng(3)
-    height = 0.0
-    for tick in range(1000):
-        drift = 0.25 if tick % 100 < 70 else -0.1
-        height += 0.01 * drift
-        estimate = (height + 0.005 * rng.normal(), drift + 0.03 * rng.normal())
-        ramp.update(0.01 * tick, *estimate, GRAVITY + 1.4 * rng.normal())
-        if ramp.lifted or ramp.failed:
-            break
+    ramp = with_gravity_alone(lambda tick: 0.25 if tick % 100 < 70 else -0.1)
     assert ramp.failed
 
 
