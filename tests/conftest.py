@@ -14,7 +14,7 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from vehicles import FOLDER
 
-pytest_plugins = ("tests.support.realtime", "tests.support.alone", "tests.support.durations")
+pytest_plugins = ("tests.support.realtime", "tests.support.clock_worker", "tests.support.durations")
 
 # A noisy machine makes single examples slow, which says nothing about them.
 settings.register_profile("alula", deadline=None)

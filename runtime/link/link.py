@@ -127,7 +127,7 @@ class Link:
         self._text_identities = itertools.count(1)
         self._next_heartbeat = self._next_timesync = self._next_other = float("-inf")
         self._fixes_at: float | None = None
-        self._silent = self._signing_failed = False
+        self._silent = self._signing_failed = self._unanswered = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
@@ -303,14 +303,17 @@ class Link:
         request: attempt number to message.
         read: message of the vehicle to answer, None if it is none.
         timeout: s for each attempt.
+        attempts: of a vehicle that answered nothing to the request before, a single one, or a list of requests would
+            take minutes where none is answered, as by an autopilot that accepts signed ones alone.
         """
         with self.listening(read) as answers:
-            for attempt in range(attempts):
+            for attempt in range(1 if self._unanswered else attempts):
                 self.send(request(attempt))
-                try:
-                    return answers.get(timeout=timeout)
-                except queue.Empty:
-                    continue
+                with contextlib.suppress(queue.Empty):
+                    answer = answers.get(timeout=timeout)
+                    self._unanswered = False
+                    return answer
+        self._unanswered = True
         return None
 
     # --- the thread

@@ -16,7 +16,7 @@ import pytest
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
-pytestmark = pytest.mark.realtime(alone=False)
+pytestmark = pytest.mark.realtime(repeats_only=True)
 
 RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap"
 

@@ -13,7 +13,7 @@ from alula.cli.app import main
 from simulation.mock_process import free_port, mock_process
 from tests.support.fake_vehicle import FakeVehicle
 
-pytestmark = pytest.mark.realtime(alone=False)
+pytestmark = pytest.mark.realtime(repeats_only=True)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -85,7 +85,7 @@ def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(
     assert Campaign(options, SHORT).run(lambda _: None).sha256 == flown[1].sha256
 
 
-@pytest.mark.realtime(alone=False)  # repeated where it was starved; it bears company
+@pytest.mark.realtime(repeats_only=True)  # repeated where it was starved; it bears company
 def test_it_resumes_after_it_was_killed(flown: tuple[Path, CampaignManifest], tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from simulation.campaign import Campaign, CampaignOptions;"

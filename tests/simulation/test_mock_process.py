@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.deadline import wait_until
 
-pytestmark = pytest.mark.realtime(alone=False)
+pytestmark = pytest.mark.realtime(repeats_only=True)
 
 STARTER = """
 import time

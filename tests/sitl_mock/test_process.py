@@ -23,7 +23,7 @@ from sitl_mock.wire.link_spec import default_links, parse_link
 from tests.support.deadline import Deadline
 from vehicles import FOLDER
 
-pytestmark = pytest.mark.realtime(alone=False)
+pytestmark = pytest.mark.realtime(repeats_only=True)
 
 VEHICLE = str(FOLDER / "px4_sih.toml")
 

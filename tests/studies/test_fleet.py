@@ -338,7 +338,7 @@ def test_a_request_that_cannot_be_met_names_the_remedy(run: Run, tmp_path: Path)
         assert (ended, message in wrong) == (code, True), wrong
 
 
-@pytest.mark.realtime(alone=False)
+@pytest.mark.realtime(repeats_only=True)
 def test_a_dask_worker_that_is_killed_half_way_loses_nothing_and_repeats_nothing(
     copied: Path, diagnosed: FleetResult, tmp_path: Path
 ) -> None:

@@ -168,7 +168,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield made
 
 
-@pytest.mark.realtime(alone=False)  # repeated where it was starved; it bears company
+@pytest.mark.realtime(repeats_only=True)  # repeated where it was starved; it bears company
 def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(work: MakeWork, cluster: Cluster) -> None:
     address, workers = cluster
     works = [work(f"cell_{i}", seed=i, steps=40) for i in range(4)]

@@ -1,4 +1,4 @@
-"""Logs of real PX4 whose drag is not the vehicle file's, in three formats, and cases made of them."""
+"""Logs whose drag is not the vehicle file's, of real PX4 in three formats and of short flights, and cases of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from dynamics.vehicle import EffectUse, Vehicle
+from fixtures.planted import planted_flights
 from fixtures.recorded import write_recording
 from flights import Flight
 from studio.app.opened import OpenCase
@@ -16,6 +18,8 @@ from studio.work.worker import Worker
 
 DATA = Path(__file__).parents[1] / "data" / "px4_sih_flights"
 NAMES = ("drag2_1_circle", "drag2_4_lemniscate")
+SHORT = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
+PLANTED = 0.1  # N s/m
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +43,14 @@ def csvs(ulogs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> list[Pa
 def recordings(ulogs: list[Path], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("recordings")
     return [write_recording(Flight.read(path, rate=100.0), folder / f"{path.stem}.mcap") for path in ulogs]
+
+
+@pytest.fixture(scope="session")
+def short_logs(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three flights of 10 s of the bundled arpl_250g with a drag, for what does not depend on who recorded them."""
+    folder = tmp_path_factory.mktemp("short")
+    flights = planted_flights(arpl_250g, [EffectUse("linear_drag", {"coefficient": PLANTED})], seed=5, manoeuvres=SHORT)
+    return [Path(flight.to_csv(folder / f"flight_{number}.csv")) for number, flight in enumerate(flights)]
 
 
 @pytest.fixture(scope="session")

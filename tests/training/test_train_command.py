@@ -223,7 +223,7 @@ def test_only_states_that_members_can_continue_from_outlive_a_failure(tmp_path: 
     assert (run / "member_0.state").exists()
 
 
-@pytest.mark.realtime(alone=False)  # repeated where it was starved; it bears company
+@pytest.mark.realtime(repeats_only=True)  # repeated where it was starved; it bears company
 def test_a_training_that_was_killed_continues_to_the_same_model(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "alula", "train", str(folder), "--vehicle", "arpl_250g", "--model", "pi_mlp",
                "--steps", "1500", "--batch", "64", "--ensemble", "1"]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The steps of a case in a process of their own: from logs of real PX4 to the version whose error fell."""
+"""The steps of a case in a process of their own: from logs to the version whose error fell. test_journey has PX4's."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from studio.case.commands import script
 from studio.work.arrays import read_array
 from studio.work.results import Added, Checked, Compared, Diagnosed, Evidence
 from studio.work.worker import Worker
+from tests.studio.conftest import PLANTED
 
 TIMEOUT = 250.0  # s on a busy machine; alone each step takes some seconds
 
@@ -35,14 +36,14 @@ def _statuses(opened: OpenCase) -> dict[str, str]:
     return {page: opened.status(page) for page in PAGES}
 
 
-def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulogs: list[Path]) -> None:
+def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, short_logs: list[Path]) -> None:
     locked = dict.fromkeys(PAGES[1:], "locked")
     assert _statuses(opened) == {"log": "open", **locked}
-    opened.case.add_logs(ulogs)
+    opened.case.add_logs(short_logs)
     assert opened.status("check") == "open"
     _do(opened, "check")
     assert opened.lock_reason("compare") == "choose a vehicle first."
-    opened.case.set_vehicle("px4_sih")
+    opened.case.set_vehicle("arpl_250g")
     opened.start_if_open("compare")
     opened.wait(TIMEOUT)
     assert _statuses(opened) == {
@@ -67,7 +68,7 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulo
     evidence = opened.result(Evidence, "explain:linear_drag")
     assert evidence is not None
     slider = evidence.sliders[0]
-    assert slider.values[slider.best] == pytest.approx(2.0, rel=0.05)  # N s/m, planted
+    assert slider.values[slider.best] == pytest.approx(PLANTED, rel=0.05)
     errors = [sum(value for value in row if value is not None) for row in slider.rms]
     assert np.argmin(errors) in (slider.best - 1, slider.best, slider.best + 1)
     assert evidence.share["mocap"] > 0.8
@@ -98,15 +99,15 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulo
     assert opened.status("prove") == "locked"
 
 
-def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, ulogs: list[Path], tmp_path: Path) -> None:
-    opened.case.add_logs(ulogs)
-    opened.case.set_vehicle("px4_sih")
+def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, short_logs: list[Path], tmp_path: Path) -> None:
+    opened.case.add_logs(short_logs)
+    opened.case.set_vehicle("arpl_250g")
     _do(opened, "check")
     _do(opened, "diagnose")
     _do(opened, "add")
     version = opened.case.version
     assert version is not None
-    assert version.command == f"alula add {ulogs[0]} {ulogs[1]} --vehicle px4_sih"
+    assert version.command == f"alula add {' '.join(map(str, short_logs))} --vehicle arpl_250g"
     opened.case.undo()
     assert "alula add" not in script(opened.case)
     opened.case.redo()
@@ -117,7 +118,7 @@ def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, ulogs: list[Pa
     run = subprocess.run(["sh", file, again], capture_output=True, text=True, env={**os.environ, **path}, check=False)
     assert run.returncode == 0, run.stderr
     assert "held out" in run.stdout
-    made = read_vehicle(again / "px4_sih.v2.toml")
+    made = read_vehicle(again / "arpl_250g.v2.toml")
     theirs = opened.case.vehicle()
     # to rounding: another process sums in another order
     assert [use.label for use in made.effects] == [use.label for use in theirs.effects]
@@ -126,18 +127,18 @@ def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, ulogs: list[Pa
 
 
 def test_a_log_that_the_reader_refuses_is_said_and_the_others_go_on(
-    opened: OpenCase, ulogs: list[Path], tmp_path: Path
+    opened: OpenCase, short_logs: list[Path], tmp_path: Path
 ) -> None:
     bad = tmp_path / "no_log.csv"
     bad.write_text("a,b\n1,2\n")
-    opened.case.add_logs([ulogs[0], bad])
-    opened.case.set_vehicle("px4_sih")
+    opened.case.add_logs([*short_logs, bad])
+    opened.case.set_vehicle("arpl_250g")
     _do(opened, "check")
     checked = opened.result(Checked, "check")
     assert checked is not None
     assert checked.flights[0].refused == ""
-    assert "no_log.csv" in checked.flights[1].refused
-    assert checked.by_log[1] is None
+    assert "no_log.csv" in checked.flights[-1].refused
+    assert checked.by_log[-1] is None
     assert checked.usable
     assert opened.status("compare") == "done"
 
@@ -146,14 +147,16 @@ def test_logs_that_cannot_answer_lock_what_follows(opened: OpenCase, tmp_path: P
     bad = tmp_path / "no_log.csv"
     bad.write_text("a,b\n1,2\n")
     opened.case.add_logs([bad])
-    opened.case.set_vehicle("px4_sih")
+    opened.case.set_vehicle("arpl_250g")
     _do(opened, "check")
     assert opened.lock_reason("compare") == "none of the logs can be used; the check says why."
 
 
-def test_a_vehicle_of_another_size_is_refused_with_the_diagnosis_own_words(opened: OpenCase, ulogs: list[Path]) -> None:
-    opened.case.add_logs(ulogs[:1])
-    opened.case.set_vehicle("arpl_250g")
+def test_a_vehicle_of_another_size_is_refused_with_the_diagnosis_own_words(
+    opened: OpenCase, short_logs: list[Path]
+) -> None:
+    opened.case.add_logs(short_logs)
+    opened.case.set_vehicle("px4_sih")
     opened.start("check")
     opened.wait(TIMEOUT)
     refusal = opened.refusal("compare")
@@ -163,11 +166,11 @@ def test_a_vehicle_of_another_size_is_refused_with_the_diagnosis_own_words(opene
     assert opened.status("compare") == "refused"
 
 
-def test_work_can_be_cancelled_and_begun_again(tmp_path: Path, ulogs: list[Path]) -> None:
+def test_work_can_be_cancelled_and_begun_again(tmp_path: Path, short_logs: list[Path]) -> None:
     opened = OpenCase(Case.create(tmp_path / "case"), Worker)
     try:
-        opened.case.add_logs(ulogs)
-        opened.case.set_vehicle("px4_sih")
+        opened.case.add_logs(short_logs)
+        opened.case.set_vehicle("arpl_250g")
         _do(opened, "check")
         opened.start("diagnose")
         while opened.job is not None and opened.job.share < 0.1:
@@ -183,11 +186,11 @@ def test_work_can_be_cancelled_and_begun_again(tmp_path: Path, ulogs: list[Path]
         opened.close()
 
 
-def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, ulogs: list[Path]) -> None:
+def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, short_logs: list[Path]) -> None:
     worker = Worker()
     opened = OpenCase(Case.create(tmp_path / "case"), lambda: worker)
     try:
-        opened.case.add_logs(ulogs)
+        opened.case.add_logs(short_logs)
         opened.start("check")
         threading.Timer(0.2, worker._process.kill).start()
         opened.wait(60.0)
@@ -198,12 +201,12 @@ def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, ulogs:
         opened.close()
 
 
-def test_a_log_that_needs_more_memory_than_there_is_ends_with_a_message(tmp_path: Path, ulogs: list[Path]) -> None:
+def test_a_log_that_needs_more_memory_than_there_is_ends_with_a_message(tmp_path: Path, short_logs: list[Path]) -> None:
     worker = Worker(memory=260 << 20)
     opened = OpenCase(Case.create(tmp_path / "case"), lambda: worker)
     try:
-        opened.case.add_logs(ulogs)
-        opened.case.set_vehicle("px4_sih")
+        opened.case.add_logs(short_logs)
+        opened.case.set_vehicle("arpl_250g")
         opened.start("check")
         opened.wait(TIMEOUT)
         assert opened.failure
