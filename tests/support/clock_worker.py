@@ -11,6 +11,7 @@ import os
 import re
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
@@ -43,9 +44,9 @@ def against_the_clock(path: Path) -> bool:
     return MARKED.search(path.read_text()) is not None
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config) -> ClockScheduling:
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ClockScheduling:
     """Schedule with one worker for the clock; called by pytest-xdist in the process that starts the workers."""
-    return ClockScheduling(config)
+    return ClockScheduling(config, log)
 
 
 def pytest_xdist_auto_num_workers() -> int:
