@@ -27,7 +27,8 @@ class ClockScheduling(LoadFileScheduling):
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         """Assign a file to a worker, or let the worker go where none is left for it."""
-        keeper = next((worker for worker in self.nodes if not worker.shutting_down), node)
+        alive = [worker for worker in self.nodes if not worker.shutting_down]
+        keeper = min(alive, key=lambda worker: worker.gateway.id != FIRST, default=node)
         marked = {scope: against_the_clock(self.config.rootpath / scope) for scope in self.workqueue}
         kind = node is keeper and True in marked.values()
         chosen = next((scope for scope, clocked in marked.items() if clocked == kind), None)
