@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from simulation.mock_process import free_port, mock_process
+from tests.support.command_line import Run, command_line
 from vehicles import FOLDER
 
 pytestmark = pytest.mark.realtime(repeats_only=True)
@@ -21,9 +22,9 @@ pytestmark = pytest.mark.realtime(repeats_only=True)
 RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap"
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "alula", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    return command_line(monkeypatch, capsys)
 
 
 def fly(url: str, *arguments: str) -> list[str]:
@@ -31,7 +32,7 @@ def fly(url: str, *arguments: str) -> list[str]:
 
 
 @pytest.mark.realtime
-def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
+def test_a_flight_interrupted_lands_reports_and_replays(run: Run, tmp_path: Path) -> None:
     options = ["--reference", "hover", "--height", "0.8", "--record", str(tmp_path), "--json"]
     options += ["--set", "controller.horizon=0.8"]
     with (
@@ -46,9 +47,9 @@ def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
     report = json.loads(output)
     assert report["landed"]
     assert report["landing_reason"] == "SIGINT"
-    done = run("replay", report["recording"], "--tolerance", "0")
-    assert done.returncode == 0, done.stderr
-    assert "bit for bit" in done.stdout
+    code, shown, wrong = run("replay", report["recording"], "--tolerance", "0")
+    assert code == 0, wrong
+    assert "bit for bit" in shown
 
 
 @pytest.mark.parametrize("ignored", [False, True])
@@ -76,12 +77,14 @@ def test_planning_says_so_at_once_and_ends_at_an_interrupt(tmp_path: Path, ignor
     assert taken < 30.0  # an order of magnitude above what it takes; planning goes on for minutes
 
 
-def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_sent() -> None:
-    done = run("fly", "--vehicle", "px4_sih", "--reference", "lemniscate:speed=3", "--link", "udpin:127.0.0.1:1")
-    assert done.returncode == 2
-    assert "cannot fly" in done.stderr
-    assert "speed=" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_sent(run: Run) -> None:
+    code, _, wrong = run(
+        "fly", "--vehicle", "px4_sih", "--reference", "lemniscate:speed=3", "--link", "udpin:127.0.0.1:1"
+    )
+    assert code == 2
+    assert "cannot fly" in wrong
+    assert "speed=" in wrong
+    assert "Traceback" not in wrong
 
 
 @pytest.mark.parametrize(
@@ -98,15 +101,15 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
         (["--reference", "hover", "--vehicle", "px4_sih", "--record", "/dev/null/no"], "--record"),
     ],
 )
-def test_wrong_requests_name_what_is_needed(arguments: list[str], message: str) -> None:
-    done = run("fly", *arguments)
-    assert done.returncode == 2
-    assert message.lower() in done.stderr.lower()
-    assert "Traceback" not in done.stderr
+def test_wrong_requests_name_what_is_needed(run: Run, arguments: list[str], message: str) -> None:
+    code, _, wrong = run("fly", *arguments)
+    assert code == 2
+    assert message.lower() in wrong.lower()
+    assert "Traceback" not in wrong
 
 
-def test_nobody_on_the_link_ends_with_code_4() -> None:
-    done = run(
+def test_nobody_on_the_link_ends_with_code_4(run: Run) -> None:
+    code, _, wrong = run(
         "fly",
         "--vehicle",
         "px4_sih",
@@ -117,40 +120,40 @@ def test_nobody_on_the_link_ends_with_code_4() -> None:
         "--link",
         f"udpin:127.0.0.1:{free_port()}",
     )
-    assert done.returncode == 4
-    assert "No MAVLink arrived" in done.stderr
+    assert code == 4
+    assert "No MAVLink arrived" in wrong
 
 
-def test_a_file_that_is_no_recording_ends_with_code_3(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_ends_with_code_3(run: Run, tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_text("nothing")
-    done = run("replay", str(tmp_path / "x.mcap"))
-    assert done.returncode == 3
-    assert "no recording" in done.stderr
+    code, _, wrong = run("replay", str(tmp_path / "x.mcap"))
+    assert code == 3
+    assert "no recording" in wrong
 
 
-def test_of_a_folder_the_newest_recording_replays(tmp_path: Path) -> None:
+def test_of_a_folder_the_newest_recording_replays(run: Run, tmp_path: Path) -> None:
     (tmp_path / "20260101-000000.mcap").write_text("an older one, which would be refused")
     shutil.copy(RECORDED, tmp_path / "20260102-000000.mcap")
-    done = run("replay", str(tmp_path), "--tolerance", "1e-3")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith(f"{tmp_path}/20260102-000000.mcap, the newest")
-    assert f"next: alula inspect {tmp_path}/20260102-000000.mcap" in done.stdout.replace("\n", " ").replace("  ", " ")
+    code, shown, wrong = run("replay", str(tmp_path), "--tolerance", "1e-3")
+    assert code == 0, shown + wrong
+    assert shown.startswith(f"{tmp_path}/20260102-000000.mcap, the newest")
+    assert f"next: alula inspect {tmp_path}/20260102-000000.mcap" in shown.replace("\n", " ").replace("  ", " ")
 
 
-def test_a_folder_without_recordings_ends_with_code_2(tmp_path: Path) -> None:
-    done = run("replay", str(tmp_path))
-    assert done.returncode == 2
-    assert "no recording there" in done.stderr
+def test_a_folder_without_recordings_ends_with_code_2(run: Run, tmp_path: Path) -> None:
+    code, _, wrong = run("replay", str(tmp_path))
+    assert code == 2
+    assert "no recording there" in wrong
 
 
-def test_the_recorded_flight_of_the_repository_replays() -> None:
+def test_the_recorded_flight_of_the_repository_replays(run: Run) -> None:
     # another processor rounds differently in the last bits; the closed loop is not closed here, so they stay small
-    done = run("replay", str(RECORDED), "--tolerance", "1e-3")
-    assert done.returncode == 0, done.stdout + done.stderr
+    code, shown, wrong = run("replay", str(RECORDED), "--tolerance", "1e-3")
+    assert code == 0, shown + wrong
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
 def test_a_signal_in_the_air_lands_and_disarms(name: str, tmp_path: Path) -> None:
     report, code = _signalled(getattr(signal, name), "in_air")
     assert (code, report["landed"], report["landing_reason"]) == (0, True, name)

@@ -181,13 +181,10 @@ def runs_here(text: str) -> bool:
     return not (is_linked(text) or is_served(text))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(page, marks=[] if page == "README.md" else pytest.mark.slow)
-        for page in COMMANDS
-        if any(map(runs_here, COMMANDS[page]))
-    ],
+    [page for page in COMMANDS if any(map(runs_here, COMMANDS[page]))],
 )
 def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
     for name, replacement in INSTEAD.get(page, {}).items():
@@ -218,6 +215,7 @@ def test_the_studio_of_a_page_answers_until_it_is_ended(here: Path) -> None:
         assert "alula studio --case" in rest, text
 
 
+@pytest.mark.slow
 def test_quick_commands_in_sentences_run(here: Path, run: Run) -> None:
     """Those with all their arguments; the others are looked up by `test_documentation.py`."""
     texts = {text for _, text in commands_in_sentences() if text.startswith(QUICK) or text.endswith(" --help")}
