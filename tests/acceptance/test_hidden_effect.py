@@ -42,6 +42,7 @@ def printed_outcome(outcome, capsys):
     return computed
 
 
+@pytest.mark.long("nine flights")
 def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_flights(printed_outcome):
     result = printed_outcome(-1)
     assert result.faults == ()
@@ -49,6 +50,7 @@ def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_f
     assert result.added is None
 
 
+@pytest.mark.long("nine flights, and three commands on them")
 @pytest.mark.parametrize("number", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, DRAWS))])
 def test_no_draw_ends_in_an_error_or_a_worse_model(printed_outcome, number):
     assert printed_outcome(number).faults == ()

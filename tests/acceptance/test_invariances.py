@@ -110,6 +110,7 @@ def require_same(answered: Answer, as_flown: Answer, *, stds: float) -> None:
             assert abs(answered.effects[effect][name][0] - value) <= stds * std + 1e-9, (effect, name)
 
 
+@pytest.mark.long("five flights, and a diagnosis of two effects")
 def test_both_hidden_effects_are_named(as_flown: Answer) -> None:
     assert set(as_flown.effects) == {("linear_drag", None), ("weak_rotor", 2)}
 

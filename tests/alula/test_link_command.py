@@ -61,6 +61,7 @@ def test_a_vehicle_without_an_estimate_is_reported_and_ends_with_4(
         assert "No state estimate arrived" in shown.out
 
 
+@pytest.mark.long("six checks of a link, each of some seconds")
 def test_a_key_is_made_set_up_and_required(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

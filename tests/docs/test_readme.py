@@ -22,10 +22,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long("follows the whole page")
 def test_its_commands_run_as_written_and_print_what_is_shown(folder: Path) -> None:  # two diagnoses and an addition
     assert (folder / "bundles" / "my_quad" / "manifest.json").exists()
 
 
+@pytest.mark.long("a flight against the clock, and what it waits for")
 @pytest.mark.realtime
 def test_its_flight_lands(folder: Path) -> None:
     follow(README, folder, against_clock=True, port=PORT)

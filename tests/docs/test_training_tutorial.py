@@ -19,10 +19,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long("follows the whole page")
 def test_every_step_works_and_prints_what_is_shown(folder: Path) -> None:
     assert (folder / "bundles" / "pi_tcn" / "manifest.json").exists()
 
 
+@pytest.mark.long("a flight against the clock, and what it waits for")
 @pytest.mark.realtime
 def test_its_flight_lands(folder: Path) -> None:
     shutil.rmtree(folder / "recordings", ignore_errors=True)

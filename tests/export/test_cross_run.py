@@ -100,6 +100,7 @@ def answers_of(program: Path, model: Model, case: Case) -> tuple[Floats, ...]:
     return tuple(part.reshape(expected.shape) for part, expected in zip(parts, case.answers, strict=True))
 
 
+@pytest.mark.long("compiles for another processor, and emulates it")
 @pytest.mark.skipif(COMPILER is None, reason="no aarch64-linux-gnu-gcc; Debian: gcc-aarch64-linux-gnu")
 @pytest.mark.skipif(EMULATOR is None, reason="no qemu-aarch64; Debian: qemu-user")
 def test_the_kernel_answers_on_aarch64_as_the_double_one_does_here(tmp_path: Path, arpl_250g: Vehicle) -> None:

@@ -92,6 +92,7 @@ def in_wind(bundle: Bundle, mode: Mode) -> tuple[FlownReference, Controller, Con
     return flight, controller, nominal
 
 
+@pytest.mark.long("compiles a network, and flies it twice")
 @pytest.mark.parametrize("kind", ["bundle", "grey_box"])
 def test_a_learned_model_follows_the_wind_and_so_does_the_fallback_beside_it(
     request: pytest.FixtureRequest, kind: str

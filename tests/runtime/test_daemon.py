@@ -114,6 +114,7 @@ def hear(listener: socket.socket, messages: list[str]) -> str:
     return message
 
 
+@pytest.mark.long("a flight against the clock")
 def test_it_flies_and_its_recording_replays_bit_for_bit(
     vehicle: Vehicle, tmp_path: Path, service_manager: list[str]
 ) -> None:
@@ -159,6 +160,7 @@ class SmallDisk:
         self._file.close()
 
 
+@pytest.mark.long("a flight against the clock")
 def test_a_bad_day_is_flown_through_and_an_interrupt_lands(
     vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,6 +234,7 @@ def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monke
 OFF = 5.0  # s that a vehicle is off while it restarts, longer than a link may be silent
 
 
+@pytest.mark.long("two starts of an autopilot, and a flight")
 def test_a_vehicle_restarted_on_the_ground_is_asked_for_its_streams_again(vehicle: Vehicle) -> None:
     announcements = Announcements()
     with contextlib.ExitStack() as stack:

@@ -80,6 +80,7 @@ def test_another_run_gives_the_same_answer_byte_for_byte(learned, tmp_path: Path
     assert answer(write_report(again, tmp_path, learning)) == answer(report)
 
 
+@pytest.mark.long("two flights, one in another process")
 def test_a_flight_has_the_same_bytes_in_any_process_and_at_any_speed_of_the_machine(tmp_path: Path) -> None:
     options = DemoOptions(tmp_path, manoeuvres=("hover",), duration=5.0)
     (task, _) = tasks_of(options, str(find_vehicle(options.vehicle)), NOMINAL, "20260101-000000")
@@ -93,6 +94,7 @@ def test_a_flight_has_the_same_bytes_in_any_process_and_at_any_speed_of_the_mach
         assert files[0].read_bytes() == files[1].read_bytes()
 
 
+@pytest.mark.long("both halves of the demo")
 def test_a_flights_recording_is_that_of_a_flight_over_the_link(learned) -> None:
     """The frames of both directions are there, and the setpoints went as messages."""
     _, report, _ = learned
@@ -184,6 +186,7 @@ def test_both_halves_are_in_every_form_of_the_report(learned) -> None:
     assert {Path(name).name for name in report.files} >= {"tracking.png", "report.html"}
 
 
+@pytest.mark.long("a half of the demo")
 def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_path: Path) -> None:
     manoeuvres = ("Ellipse_2", "Lemniscate")
     options = DemoOptions(tmp_path, effects=(), manoeuvres=manoeuvres)

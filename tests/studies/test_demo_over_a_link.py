@@ -30,6 +30,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoRe
     return options, write_report(report, folder), announcements
 
 
+@pytest.mark.long("a flight against the clock")
 def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> None:
     options, report, announcements = flown
     (manoeuvre,) = report.nominal

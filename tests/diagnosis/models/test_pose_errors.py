@@ -187,6 +187,7 @@ def regression_of(folder):
     return vehicle, dataset, make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
 
 
+@pytest.mark.slow
 def test_a_gyros_noise_does_not_explain_itself_in_the_attitudes_rate(estimated_flights):
     """Columns of its scale and its delays are made of it, and beside each other they would leave nothing of it."""
     folder, _ = estimated_flights

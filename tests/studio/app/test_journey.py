@@ -80,6 +80,7 @@ def _numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
 
 
+@pytest.mark.long("from logs of PX4 to a version that has flown, by clicks")
 @pytest.mark.parametrize(
     "logs", ["ulogs", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("csvs", "recordings"))]
 )
@@ -207,6 +208,7 @@ def test_a_case_that_is_opened_again_stands_where_it_stood(
     other.close()
 
 
+@pytest.mark.long("a diagnosis of a log of PX4")
 def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
     page: Page, browser: Browser, address: str, ulogs: list[Path]
 ) -> None:

@@ -36,6 +36,7 @@ def _statuses(opened: OpenCase) -> dict[str, str]:
     return {page: opened.status(page) for page in PAGES}
 
 
+@pytest.mark.long("two diagnoses and two flights")
 def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, short_logs: list[Path]) -> None:
     locked = dict.fromkeys(PAGES[1:], "locked")
     assert _statuses(opened) == {"log": "open", **locked}
@@ -99,6 +100,7 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, sho
     assert opened.status("prove") == "locked"
 
 
+@pytest.mark.long("four diagnoses, two of them in another process")
 def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, short_logs: list[Path], tmp_path: Path) -> None:
     opened.case.add_logs(short_logs)
     opened.case.set_vehicle("arpl_250g")
@@ -166,6 +168,7 @@ def test_a_vehicle_of_another_size_is_refused_with_the_diagnosis_own_words(
     assert opened.status("compare") == "refused"
 
 
+@pytest.mark.long("starts a working process, and a diagnosis")
 def test_work_can_be_cancelled_and_begun_again(tmp_path: Path, short_logs: list[Path]) -> None:
     opened = OpenCase(Case.create(tmp_path / "case"), Worker)
     try:
