@@ -5,6 +5,8 @@
 # make docs   the documentation as a site in build/site; a warning is an error
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
+# make verdict  the judge of diagnosis: cases with a known truth, a line of scores a set, under an hour on two cores
+#             (ALULA_RECORDINGS=FOLDER with flights of PX4 and RotorPy); part of study
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
 # make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
 # make wheel  wheels for the flight computer, with compiled controllers of the bundled vehicles: dist/
@@ -26,7 +28,7 @@ UV ?= uv
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test test-all lint docs study study-public wheel fuzz licences conformance clean $(STUDIES)
+.PHONY: demo hour test test-all lint docs study verdict study-public wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -52,7 +54,10 @@ docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@! grep -rnoE '(src="https?:|<link[^>]*href="https?:)[^"]*"' build/site --include='*.html' # it loads nothing from a network
 
-study: $(STUDIES) conformance
+study: $(STUDIES) verdict conformance
+
+verdict: .venv/workbench.stamp
+	$(BIN)/python -m benchmarks.verdict
 
 study-public: .venv/workbench.stamp
 	@test -n "$(DIR)" || (echo "study-public: give the folder of your downloads: make study-public DIR=~/datasets" >&2; exit 2)

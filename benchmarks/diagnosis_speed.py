@@ -2,7 +2,7 @@
 
 Flights by speeds and by commands, slow and fast, of our own simulator, of one that is not ours and of PX4. Each kind
 has a process of its own: the first diagnosis there builds the models, three more find them built. Reading files is
-not counted. The flights of `benchmarks.verdicts` are flown first where they are not kept.
+not counted. Flights of the outside simulator and of a campaign are flown first where they are not on the disk.
 
     python -m benchmarks.diagnosis_speed [--kind NAME ..]
 """
@@ -13,6 +13,7 @@ import argparse
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -20,14 +21,14 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks.provenance import write_result
-from benchmarks.verdict_cases import Case, prepare
-from benchmarks.verdicts import logs_of
 from diagnosis.data.dataset import Dataset, make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
+from fixtures.campaign_logs import campaign_logs
 from fixtures.compiled_flights import compiled_flights
+from fixtures.outside_draws import Draw, written
 from vehicles import FOLDER
 
 REPEATS = 3
@@ -54,22 +55,34 @@ def px4() -> tuple[Dataset, Vehicle]:
     return read_dataset(logs, vehicle), vehicle
 
 
-def verdict(case: Case) -> tuple[Dataset, Vehicle]:
-    """A case of `benchmarks.verdicts`."""
-    prepare([case])
-    vehicle = read_vehicle(case.folder / "vehicle.toml")
-    return read_dataset(logs_of(case.folder), vehicle), vehicle
+def outside(draw: Draw) -> tuple[Dataset, Vehicle]:
+    """A campaign of the outside simulator."""
+    with tempfile.TemporaryDirectory() as folder:
+        logs = written(draw, Path(folder))
+        vehicle = read_vehicle(Path(folder) / "vehicle.toml")
+        return read_dataset(logs, vehicle), vehicle
+
+
+def campaign() -> tuple[Dataset, Vehicle]:
+    """Ten flights of a campaign with its nine effects."""
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    with tempfile.TemporaryDirectory() as folder:
+        logs = []
+        for name, content in campaign_logs(nine=True, seed=1).items():
+            logs.append(Path(folder) / name)
+            logs[-1].write_bytes(content)
+        return read_dataset(logs, vehicle), vehicle
 
 
 KINDS: Mapping[str, tuple[Callable[[], tuple[Dataset, Vehicle]], float | None]] = {  # and the goal, s for 100 s
     "rotor drag, nine flights": (partial(compiled, DRAG, 1), 2.5),
     "nothing, nine flights": (partial(compiled, [], 1), 2.5),
     "rotor drag, 54 flights": (partial(compiled, DRAG, 6), 2.5),
-    "nine effects, ten flights": (partial(verdict, Case("many", "nine", 1)), 3.7),  # 15 s for ten flights
-    "inertia, outside simulator": (partial(verdict, Case("single", "inertia", 1)), 2.5),
-    "slung load, outside simulator": (partial(verdict, Case("single", "slung_load", 1)), 2.5),
-    "nothing, outside simulator, commands": (partial(verdict, Case("nothing", "commands", 1)), None),
-    "nothing, outside simulator, estimator's pose": (partial(verdict, Case("nothing", "estimator", 1)), None),
+    "nine effects, ten flights": (campaign, 3.7),  # 15 s for ten flights
+    "inertia, outside simulator": (partial(outside, Draw("single", "inertia", 1)), 2.5),
+    "slung load, outside simulator": (partial(outside, Draw("single", "slung_load", 1)), 2.5),
+    "nothing, outside simulator, commands": (partial(outside, Draw("nothing", "commands", 1)), None),
+    "nothing, outside simulator, estimator's pose": (partial(outside, Draw("nothing", "estimator", 1)), None),
     "drag, PX4's own simulation, two flights": (px4, None),
 }
 

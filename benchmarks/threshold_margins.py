@@ -27,9 +27,6 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks.provenance import write_result
-from benchmarks.verdict_cases import Case as OutsideCase
-from benchmarks.verdict_cases import prepare
-from benchmarks.verdicts import logs_of
 from diagnosis.addition import add_effect
 from diagnosis.completion import complete
 from diagnosis.data.dataset import read_dataset
@@ -42,12 +39,14 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from fixtures.compiled_flights import compiled_flights
 from fixtures.mutated_flights import FLOWN, USUAL, with_columns
+from fixtures.outside_draws import Draw, written
 from flights import Flight
 from vehicles import FOLDER
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 PX4, TRIM = DATA / "px4_sih_flights", DATA / "crazypad_trim"
 CRAZYFLIE = FOLDER / "crazyflie.toml"
+OUTSIDE = Path("build/threshold_margins")  # of the logs of the outside simulator
 DATE = "2026-01-01"
 FACTORS = (0.5, 2.0)
 SEED, FLIGHTS = 41, 5  # of the outside simulator: for calibration; of each case, to be quick
@@ -149,11 +148,7 @@ def cases() -> list[Case]:
         ("nothing", "speeds"), ("single", "inertia"), ("single", "gust"), ("nothing", "commands"),
         ("single", "motor_lag"), ("single", "slung_load"),
     )  # fmt: skip
-    outside = [OutsideCase(kind, name, SEED) for kind, name in kinds]
-    prepare(outside)
-    nothing, inertia, gust, commands, lag, slung = [
-        Case(case.key, tuple(logs_of(case.folder)[:FLIGHTS]), case.folder / "vehicle.toml") for case in outside
-    ]
+    nothing, inertia, gust, commands, lag, slung = [_outside(Draw(kind, name, SEED)) for kind, name in kinds]
     real = {name: tuple(map(str, sorted(PX4.glob(f"{name}_*.ulg.gz")))) for name in ("drag2", "nothing")}
     px4 = FOLDER / "px4_sih.toml"
     made = [
@@ -175,6 +170,11 @@ def cases() -> list[Case]:
         slung,
     ]
     return [*made, *(replace(case, further=True) for case in further)]
+
+
+def _outside(draw: Draw) -> Case:
+    folder = OUTSIDE / draw.key
+    return Case(draw.key, tuple(map(str, written(draw, folder)[:FLIGHTS])), folder / "vehicle.toml")
 
 
 def _exchanged(case: Case) -> tuple[int, ...]:

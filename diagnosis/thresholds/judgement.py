@@ -19,7 +19,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_chi_square: reduced, of a typical held-out window. [planted truth]
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
-    min_over_gust: the same over floor and gust together, where one is named. [benchmarks/verdicts.py: gusts alone leave
+    min_over_gust: the same over floor and gust together, where one is named. [results/verdicts.md: gusts alone leave
     up to 0.9]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [margins: neither]
     max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that

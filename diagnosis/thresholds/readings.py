@@ -103,7 +103,7 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
 class CommandCurveThresholds(ThresholdGroup, frozen=True):
     """Thrust over command, where no rotor speed was measured. Applied when flights are read.
 
-    gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
+    gain: range of thrust over the vehicle file's. [results/real_flights.md: 0.63 to 1.7 occur]
     max_lag: of the rotors behind commands that is tried, s. [margins: neither]
     lag_step: between the lags that are tried, s. [margins: neither]
     noise: specific force of other effects, m/s^2. [margins: neither]
@@ -119,11 +119,11 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
         counts lift of travelling as thrust. [margins: neither]
     flight_gain_std: of a flight's own gain about it; the battery changes it. [margins: neither]
     motor_std: of a motor's gain about the first estimate. [margins: neither]
-    flight_motor_std: of a motor's gain in a flight about what all flights share. [benchmarks/px4_blind.py: 0.03 to 0.1
+    flight_motor_std: of a motor's gain in a flight about what all flights share. [results/px4_blind.md: 0.03 to 0.1
         give the same damping]
     bend_std: of the curve's bend at hover. [margins: neither]
     min_gain_change: of the gain from 1, from which on a wrong mass or thrust constant may be behind it.
-        [benchmarks/verdicts.py: 1.2 % at most in four sets that hide nothing]
+        [results/verdicts.md: 1.2 % at most in four sets that hide nothing]
     gain_deviations: standard deviations that this change has at least. [margins: neither]
     """
 
@@ -160,13 +160,13 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_rotor_speed: share of hover speed below which a sensor is dead. [margins: neither]
     unit_slack: factor by which a ratio may miss that of two units and still be called it. [margins: neither]
     velocity_span: over which velocity and the change of position are compared, s. [margins: neither]
-    max_velocity_error: by which they may differ, m/s. [benchmarks/mutated_flights.py]
-    max_estimator_error: the same of an estimator's pose, which corrects both separately. [benchmarks/verdicts.py: 153
+    max_velocity_error: by which they may differ, m/s. [results/mutated_flights.md]
+    max_estimator_error: the same of an estimator's pose, which corrects both separately. [results/verdicts.md: 153
     flights of 12 s with PX4's errors reach 0.61, half of them 0.37]
-    max_velocity_share: the same over the speed. [benchmarks/mutated_flights.py]
-    max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [benchmarks/mutated_flights.py]
+    max_velocity_share: the same over the speed. [results/mutated_flights.md]
+    max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [results/mutated_flights.md]
     max_rotor_clipped: the same of a rotor's speed or command, which may fly at its limit.
-    [benchmarks/mutated_flights.py]
+    [results/mutated_flights.md]
     """
 
     min_duration: Positive = 20.0
@@ -260,12 +260,12 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     horizons: of open-loop prediction, s. [definition]
     start_interval: between starts of open-loop prediction, s. [margins: neither]
     free_start_durations: of a segment's beginning, from which hidden states that begin in mid-motion are fitted, s:
-        step by step, so that a swing of 60 degrees is followed. [benchmarks/verdicts.py: slung loads, seeds 500 to 502]
+        step by step, so that a swing of 60 degrees is followed. [results/verdicts.md: slung loads, seeds 500 to 502]
     free_start_rate: at which they are integrated for that, Hz. [the same: as at 50 Hz to 0.5 % of the swing]
     free_start_band: in which a motion is looked for, Hz. [formula: lines of 0.1 to 3 m]
     free_start_noise_band: in which noise is seen, Hz. [definition: above that, below the filters' cutoff]
     free_start_excess: of the power in the first over that in the second, above which something moves there.
-        [benchmarks/verdicts.py, nothing hidden: 1 in 20 segments is above, none above 3.3]
+        [results/verdicts.md, nothing hidden: 1 in 20 segments is above, none above 3.3]
     free_start_step: by which a state moves at most in a step, standard deviations. [the same slung loads]
     free_start_reach: by which it moves at most in all. [definition: 3 standard deviations]
     free_start_strength: of an effect that is sought, over its usual value. [definition: a tenth to five times]
@@ -341,7 +341,7 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     certain: share of their variance that is taken off normal equations. [formula: the least that
     a size known by a half may be]
     unsure: share of what the correction for these errors moves an estimate that is a deviation of it.
-    [benchmarks/verdicts.py, seeds below 964]
+    [results/verdicts.md, seeds below 964]
     draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
     predicts of them. [margins: neither]
     max_slope_change: ratio of a fit's slope to that with which the noise was made, either way, above which it is made
