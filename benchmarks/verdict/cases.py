@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -67,8 +68,9 @@ class Case(msgspec.Struct, frozen=True):
     @property
     def key(self) -> str:
         """Unique name, good for a file."""
-        words = f"{self.set_name}-{self.entry.recorder}-{self.entry.name}".replace(" ", "_").replace(":", "")
-        return f"{words.replace('/', '_')}-{self.seed}"
+        recorder = "" if self.entry.recorder == "speeds" else f"{self.entry.recorder}-"
+        name = re.sub(r"[^\w.-]+", "_", self.entry.name)
+        return f"{self.set_name}-{recorder}{name}-{self.seed}"
 
 
 def read_sets(path: Path = CASES) -> dict[str, CaseSet]:
