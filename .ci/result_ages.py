@@ -1,7 +1,8 @@
 """List the pages of benchmarks/results that are older than the code that they measure. A listing, never a failure.
 
-A page's commit is the one in its head; where it names none, or was made with uncommitted changes, the one that brought
-the page's line with date and command. Packages and files that it measures are those of `benchmarks/catalogue.py`.
+A page's commit is the one in its head; where it names none, or was made with uncommitted changes, the one that
+brought the page's line with date and command. Packages and files that it measures are those of
+`benchmarks/catalogue.py`.
 
     python .ci/result_ages.py
 """
@@ -59,11 +60,11 @@ def age(page: Path, code: Iterable[str], commits: Commits, root: Path) -> str:
     except subprocess.CalledProcessError:
         return "its commit is not in this repository, or it is not committed"
     later = git("rev-list", f"{made}..HEAD", root=root).split()
-    changes = [name for name in later if any(is_of(file, code) for file in commits.get(name, ()))]
-    if not changes:
+    later_commits = [name for name in later if any(is_of(file, code) for file in commits.get(name, ()))]
+    if not later_commits:
         return ""
-    last = git("show", "--no-patch", "--format=%h of %as", changes[0], root=root).strip()
-    return f"{len(changes)} commits on {', '.join(code)} since {made[:7]}, the last {last}"
+    last = git("show", "--no-patch", "--format=%h of %as", later_commits[0], root=root).strip()
+    return f"{len(later_commits)} commits on {', '.join(code)} since {made[:7]}, the last {last}"
 
 
 def listing(measured: Mapping[str, tuple[str, ...]], root: Path = ROOT) -> list[str]:

@@ -39,7 +39,7 @@ CAMPAIGN = "`alula campaign --out build/campaign_learning`"
 THEMES: Mapping[str, Mapping[str, Measurement]] = {
     "adaptation": {
         "tracking": Measurement(
-            "benchmarks.adaptation.tracking:tracking", ("adaptation",), FLIGHT, ("--cases", "3", *NOT_KEPT)
+            "benchmarks.adaptation.tracking:tracking", ("adaptation",), FLIGHT, ("--cases", "1", *NOT_KEPT)
         ),
         "cost": Measurement(
             "benchmarks.adaptation.tracking:cost",
@@ -60,13 +60,13 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--seeds", "1", "--jobs", "1", *NOT_KEPT),
         ),
         "parameters": Measurement(
-            "benchmarks.adaptation.names:parameters", ("named_parameters",), FLIGHT, ("--flights", "3", *NOT_KEPT)
+            "benchmarks.adaptation.names:parameters", ("named_parameters",), FLIGHT, ("--cases", "1", *NOT_KEPT)
         ),
         "wind": Measurement(
-            "benchmarks.adaptation.names:wind", ("steady_wind",), FLIGHT, ("--flights", "2", *NOT_KEPT)
+            "benchmarks.adaptation.names:wind", ("steady_wind",), FLIGHT, ("--flights", "1", *NOT_KEPT)
         ),
         "neural_fly": Measurement(
-            "benchmarks.adaptation.neural_fly:neural_fly", ("neural_fly",), FLIGHT, ("--cases", "3", *NOT_KEPT)
+            "benchmarks.adaptation.neural_fly:neural_fly", ("neural_fly",), FLIGHT, ("--cases", "1", *NOT_KEPT)
         ),
         "payload": Measurement(
             "benchmarks.adaptation.payload:payload", ("payload",), FLIGHT, ("--cases", "2", *NOT_KEPT)

@@ -18,7 +18,7 @@ from scipy.stats import beta
 
 from benchmarks import mutated_flights
 from benchmarks.measurement import ROOT, Page, options_of, own_command
-from benchmarks.provenance import RESULTS, provenance
+from benchmarks.provenance import provenance
 from benchmarks.verdict_cases import KINDS, NOTHING, Case, flies_our_campaign, prepare
 from benchmarks.verdict_table import ALIKE, AT_FLOOR, SURE, as_gain, drifted, effects, fault_of, right, verdict, visible
 from benchmarks.verdicts import answer, logs_of, spoken
@@ -30,7 +30,7 @@ from dynamics.vehicle_file import read_vehicle
 from fixtures.compiled_flights import compiled_flights
 from vehicles import FOLDER
 
-COUNTS = RESULTS / "counts"
+COUNTS = ROOT / "benchmarks" / "results" / "counts"
 RUNS = COUNTS / "runs.md"
 SHARES: Mapping[str, float] = {  # of the processor time
     "speeds": 0.1, "commands": 0.1, "true_file": 0.1, "campaign": 0.1, "estimator": 0.1,

@@ -30,12 +30,12 @@ class Page:
 
 
 def options_of(
-    description: str | None, *, jobs: int | None = None, kept: str | None = None, **counts: float
+    description: str | None, *, jobs: int | None = None, resumes: str | None = None, **counts: float
 ) -> argparse.ArgumentParser:
     """Options of a measurement: `--quick` and `--no-page`, which `benchmarks.__main__` acts on, and those named here.
 
     jobs: default of `--jobs`, which is left out without one.
-    kept: name of the file of finished cases, for measurements that resume.
+    resumes: name of the file of finished cases, for measurements that resume.
     counts: an option with a number for each; its default says whether it is an integer.
     """
     text = inspect.cleandoc(description or "")
@@ -44,8 +44,8 @@ def options_of(
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=f"{default:g}")
     if jobs is not None:
         parser.add_argument("--jobs", type=int, default=jobs, help=f"processes, {jobs}")
-    if kept is not None:
-        file = Path(f"build/{kept}.jsonl")
+    if resumes is not None:
+        file = Path(f"build/{resumes}.jsonl")
         parser.add_argument("--kept", type=Path, default=file, help="where finished cases are kept, to be resumed")
         parser.add_argument("--cases", type=int, help="so many of the cases alone")
     parser.add_argument("--quick", action="store_true", help="the smallest form, in seconds, printed and not written")

@@ -313,7 +313,7 @@ def in_flight(words: Sequence[str]) -> Page:
 
         python -m benchmarks network in_flight --seeds 10
     """
-    parser = options_of(in_flight.__doc__, kept="network_in_flight", jobs=1, seeds=10)
+    parser = options_of(in_flight.__doc__, resumes="network_in_flight", jobs=1, seeds=10)
     parser.set_defaults(kept=BUNDLES / "flights.jsonl")
     parser.add_argument("--only-finished", action="store_true", help="fly nothing, write what is there")
     options = parser.parse_args(words)

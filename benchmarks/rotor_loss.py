@@ -200,7 +200,7 @@ def lockstep(words: Sequence[str]) -> Page:
 
         python -m benchmarks rotor_loss lockstep --flights 200 --others 100 --jobs 2
     """
-    options = options_of(lockstep.__doc__, kept="rotor_loss", jobs=2, flights=200, others=100).parse_args(words)
+    options = options_of(lockstep.__doc__, resumes="rotor_loss", jobs=2, flights=200, others=100).parse_args(words)
     cases = [drawn("loss", n) for n in range(options.flights)] + [drawn("other", n) for n in range(options.others)]
     results = measured(flown, cases, options, spoken, key_of=itemgetter("key"))
     return Page("rotor_loss", "A rotor that loses thrust in flight", table(results))
@@ -352,7 +352,7 @@ def link(words: Sequence[str]) -> Page:
 
         python -m benchmarks rotor_loss link --flights 72 --udp 4
     """
-    parser = options_of(link.__doc__, kept="rotor_loss_link", jobs=1, flights=72)
+    parser = options_of(link.__doc__, resumes="rotor_loss_link", jobs=1, flights=72)
     parser.add_argument("--udp", type=int, default=4, help="flights in real time, 45 s each")
     options = parser.parse_args(words)
     key_of = itemgetter("key")

@@ -294,7 +294,7 @@ def margins(words: Sequence[str]) -> Page:
 
         python -m benchmarks thresholds margins
     """
-    parser = options_of(margins.__doc__, kept="threshold_margins")
+    parser = options_of(margins.__doc__, resumes="threshold_margins")
     parser.add_argument("--budget", type=float, default=float("inf"), help="s after which nothing is begun")
     options = parser.parse_args(words)
     selected, results = cases()[: options.cases], kept_results(options.kept)
@@ -408,7 +408,7 @@ def sensitivity(words: Sequence[str]) -> Page:
 
         python -m benchmarks thresholds sensitivity --kept build/thresholds.jsonl
     """
-    options = options_of(sensitivity.__doc__, kept="thresholds").parse_args(words)
+    options = options_of(sensitivity.__doc__, resumes="thresholds").parse_args(words)
     results = kept_results(options.kept)
     for result in islice(measured({r["key"] for r in results}), options.cases):
         results.append(result)

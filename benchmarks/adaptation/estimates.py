@@ -156,7 +156,7 @@ def _next_files(results: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def estimates(words: Sequence[str]) -> Page:
     """Fly what has not been flown. Returns the page."""
-    options = options_of(__doc__, kept="flight_estimates", jobs=2, seeds=60, first=FIRST_SEED).parse_args(words)
+    options = options_of(__doc__, resumes="flight_estimates", jobs=2, seeds=60, first=FIRST_SEED).parse_args(words)
     seeds = range(options.first, options.first + options.seeds)
     results = measured(flown, seeds, options, spoken, key_of=lambda seed: seed, key="seed")
     return Page("flight_estimates", "What a model followed in flight", table(results))

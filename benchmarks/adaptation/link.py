@@ -163,7 +163,7 @@ def spoken(result: Mapping[str, Any]) -> str:
 
 def link(words: Sequence[str]) -> Page:
     """Fly what has not been flown. Returns the page."""
-    options = options_of(__doc__, kept="adaptation_link", jobs=1, seeds=1).parse_args(words)
+    options = options_of(__doc__, resumes="adaptation_link", jobs=1, seeds=1).parse_args(words)
     cases = [Case(*flight, mode, seed) for seed in range(options.seeds) for flight in FLIGHTS for mode in MODES]
     results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
     return Page("adaptation_link", "A model that follows in flight, over MAVLink", table(results))

@@ -123,7 +123,7 @@ def parameters(words: Sequence[str]) -> Page:
 
         python -m benchmarks adaptation parameters --flights 20
     """
-    options = options_of(parameters.__doc__, kept="named_parameters", jobs=1, flights=20).parse_args(words)
+    options = options_of(parameters.__doc__, resumes="named_parameters", jobs=1, flights=20).parse_args(words)
     cases = [drawn(kind, number) for kind in KINDS for number in range(options.flights)]
     results = measured(flown, cases, options, spoken, key_of=itemgetter("key"))
     return Page("named_parameters", "A centre of mass and a battery's sag, named in flight", table(results))
@@ -220,7 +220,7 @@ def wind(words: Sequence[str]) -> Page:
 
         python -m benchmarks adaptation wind --flights 40
     """
-    options = options_of(wind.__doc__, kept="steady_wind", jobs=1, flights=40).parse_args(words)
+    options = options_of(wind.__doc__, resumes="steady_wind", jobs=1, flights=40).parse_args(words)
     results = measured(
         wind_flown, map(wind_drawn, range(options.flights)), options, wind_spoken, key_of=itemgetter("key")
     )

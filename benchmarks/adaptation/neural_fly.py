@@ -158,7 +158,7 @@ def _named(values: Sequence[Sequence[float]], scale: float) -> str:
 
 def neural_fly(words: Sequence[str]) -> Page:
     """Fly what has not been flown. Returns the page."""
-    options = options_of(__doc__, kept="neural_fly", jobs=1, seeds=5).parse_args(words)
+    options = options_of(__doc__, resumes="neural_fly", jobs=1, seeds=5).parse_args(words)
     cases = [Case(wind, mode, seed) for seed in range(options.seeds) for wind in WINDS for mode in MODES]
     results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
     return Page("neural_fly", "The figure-eight of Neural-Fly", table(results))

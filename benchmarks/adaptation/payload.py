@@ -131,7 +131,7 @@ def _cells(some: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def payload(words: Sequence[str]) -> Page:
     """Fly what has not been flown. Returns the page."""
-    options = options_of(__doc__, kept="payload", jobs=1, seeds=6).parse_args(words)
+    options = options_of(__doc__, resumes="payload", jobs=1, seeds=6).parse_args(words)
     kinds = [
         (reference, step, place, mode)
         for reference in MANOEUVRES

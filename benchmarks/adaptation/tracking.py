@@ -181,7 +181,7 @@ def tracking(words: Sequence[str]) -> Page:
 
         python -m benchmarks adaptation tracking --seeds 10 --jobs 2
     """
-    options = options_of(tracking.__doc__, kept="adaptation", jobs=2, seeds=10).parse_args(words)
+    options = options_of(tracking.__doc__, resumes="adaptation", jobs=2, seeds=10).parse_args(words)
     results = measured(flown, cases(options.seeds), options, spoken, key_of=lambda case: case.key)
     return Page("adaptation", "A model that follows in flight", table(results))
 

@@ -238,7 +238,7 @@ def _line(key: Sequence[str], rows: Sequence[Row]) -> str:
 
 def coverage(words: Sequence[str]) -> Page:
     """The measurement's page."""
-    parser = options_of(__doc__, kept="intervals", first=1001, count=40)
+    parser = options_of(__doc__, resumes="intervals", first=1001, count=40)
     parser.add_argument("--logged", nargs="*", default=[])
     parser.add_argument("--names", nargs="*", default=[])
     parser.add_argument("--budget", type=float, default=1e9, help="s after which none is flown; 0: a table alone")

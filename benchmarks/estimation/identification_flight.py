@@ -239,7 +239,7 @@ def flights_table(rows: Sequence[Row]) -> str:
 
 def identification_flight(words: Sequence[str]) -> Page:
     """Fly and fit. Returns the page."""
-    parser = options_of(__doc__, kept="identification_flight", jobs=1, flights=4, first_seed=5000)
+    parser = options_of(__doc__, resumes="identification_flight", jobs=1, flights=4, first_seed=5000)
     parser.add_argument("--hidden", nargs="*", default=list(SETS))
     chosen = parser.parse_args(words)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.flights)

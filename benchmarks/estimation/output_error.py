@@ -106,7 +106,7 @@ def table(rows: Sequence[str]) -> str:
 
 def output_error(words: Sequence[str]) -> Page:
     """The measurement's page."""
-    options = options_of(__doc__, kept="output_error", jobs=1).parse_args(words)
+    options = options_of(__doc__, resumes="output_error", jobs=1).parse_args(words)
     results = measured(run, cases(), options, itemgetter("key"), key_of=repr)
     rows = [row for result in results for row in result["rows"]]
     return Page("output_error", "Output error against equation error", table(rows))

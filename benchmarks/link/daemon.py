@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measurement import Page, options_of
+from benchmarks.measurement import ROOT, Page, options_of
 from fixtures.vehicle_clock import PERIOD, START, Clock, Exchange, simulator_clock
 from runtime.link.clock import VehicleClock
 from runtime.record.recorder import Recorder
@@ -179,7 +179,7 @@ def recorder(words: Sequence[str]) -> Page:
     return Page("recorder_cost", "Cost of recording", text + "\n".join(rows))
 
 
-RECORDED = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_flights" / "clocks.npz"
+RECORDED = ROOT / "tests" / "data" / "px4_sih_flights" / "clocks.npz"
 SECONDS = 60.0
 SETTLED = 1.0  # s after which the clock has to be valid
 HEADER = "| clock | restarts | invalid, s | steps followed | error RMS, ms | 99 % | greatest |"

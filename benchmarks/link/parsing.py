@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measurement import Page, options_of
+from benchmarks.measurement import ROOT, Page, options_of
 from dynamics.signing_key import SigningKey, signing_ticks
 from runtime.link.dialect import mavlink
 from runtime.link.framing import Frame, FrameParser
@@ -26,7 +26,7 @@ from runtime.link.peer import Peer
 from runtime.link.signing import Signing
 from runtime.record.tlog import read_tlog
 
-RECORDING = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_offboard" / "offboard_hover.tlog.gz"
+RECORDING = ROOT / "tests" / "data" / "px4_sih_offboard" / "offboard_hover.tlog.gz"
 DATAGRAM = 1400  # bytes
 Feeder = Callable[[list[Frame]], None]
 
