@@ -32,15 +32,24 @@ CHUNK = 50
 TICKS = 600
 
 
-def acados_environment() -> Path:
-    """acados' own environment, made anew when what the project needs has changed. Returns acados' install folder."""
+def install_acados() -> None:
+    """Make acados' own environment, anew when what the project needs has changed.
+
+    Raises subprocess.CalledProcessError where pip cannot install it.
+    """
     python, made_for = ENVIRONMENT / "bin" / "python", ENVIRONMENT / "packages"
     packages = "\n".join(["comma-deps-acados", *base_packages()])
     if not made_for.exists() or made_for.read_text(encoding="utf-8") != packages:
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
         subprocess.run([python, "-m", "pip", "install", "--quiet", *packages.splitlines()], check=True)
         made_for.write_text(packages, encoding="utf-8")
+
+
+def acados_environment() -> Path:
+    """acados' install folder, in an environment of its own."""
+    install_acados()
     code = "import acados, os; print(os.path.dirname(acados.__file__))"
+    python = ENVIRONMENT / "bin" / "python"
     acados_folder = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
     return Path(acados_folder) / "install"
 
@@ -188,26 +197,25 @@ def nominal(words: Sequence[str]) -> Page | None:
     """
     parser = options_of(nominal.__doc__)
     parser.add_argument("--own-worker", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--ticks", type=int, default=TICKS, help="Fewer for a trial, which writes no page.")
+    parser.add_argument("--ticks", type=int, default=TICKS, help="fewer for a trial, which writes no page")
+    parser.add_argument("--own-side", action="store_true", help="a trial without acados, of what is ours")
     arguments = parser.parse_args(words)
     if arguments.own_worker:
         answer(RtiSolver(build_model(read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")), Problem()))
         return None
-    install = acados_environment()
     folder = ROOT / "build" / "rti_against_acados"
     cases, problem = record_cases(folder)
     own = own_command("kernel", "acados", "--own-worker")
-    workers = [
-        Worker("Alula, CasADi wheel's BLASFEO (generic)", own),
-        Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)),
-        *(
-            acados_worker(f"acados SQP_RTI, {condensing}", install, problem, condensing, folder / condensing.lower())
-            for condensing in CONDENSING
-        ),
-    ]
+    workers = [Worker("Alula, CasADi wheel's BLASFEO (generic)", own)]
+    if not arguments.own_side:
+        install = acados_environment()
+        workers.append(Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)))
+        for condensing in CONDENSING:
+            name, build = f"acados SQP_RTI, {condensing}", folder / condensing.lower()
+            workers.append(acados_worker(name, install, problem, condensing, build))
     take_turns(workers, cases, arguments.ticks)
     title = "Nominal RTI step against acados, one core"
-    return Page("rti_against_acados", title, table(workers), trial=arguments.ticks < TICKS)
+    return Page("rti_against_acados", title, table(workers), trial=arguments.own_side or arguments.ticks < TICKS)
 
 
 TRIAL, TRIAL_STEPS = NETWORKS.with_name("rti_network_trial"), 300
@@ -238,7 +246,7 @@ def learned_table(workers: list[Worker]) -> str:
     steps = {}
     for worker in workers:
         steps[worker.name] = 1e6 * (np.array(worker.answers["prepare"]) + np.array(worker.answers["feedback"]))
-    fastest = min(float(np.median(step)) for name, step in steps.items() if "acados SQP_RTI" in name)
+    fastest = min((float(np.median(step)) for name, step in steps.items() if "acados SQP_RTI" in name), default=np.nan)
     rows = ["| solver | step us, median | p99 | worst | unsolved | acados' faster MLP step over it |"]
     rows.append("| --- " * 6 + "|")
     for worker in workers:
@@ -247,6 +255,8 @@ def learned_table(workers: list[Worker]) -> str:
             f"| {worker.name} | {np.median(step):.0f} | {np.percentile(step, 99):.0f} | {step.max():.0f} | "
             f"{unsolved} of {step.size} | {fastest / np.median(step):.1f} |"
         )
+    if np.isnan(fastest):
+        return "\n".join([*rows, "", "acados did not answer beside them."])
     first, last = (np.array(workers[i].answers["inputs"]) for i in (1, -1))
     rows += [
         "",
@@ -272,24 +282,29 @@ def learned(words: Sequence[str]) -> Page | None:
     """
     parser = options_of(learned.__doc__)
     parser.add_argument("--networks", type=Path, default=NETWORKS)
-    parser.add_argument("--ticks", type=int)
+    parser.add_argument("--ticks", type=int, help="of a trial, which writes no page")
+    parser.add_argument("--own-side", action="store_true", help="a trial without acados, of what is ours")
     parser.add_argument("--own-worker", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args(words)
     if arguments.own_worker:
         answer(solver_for(read_model(arguments.own_worker), native_processor()))
         return None
-    trial = arguments.ticks is not None
+    trial = arguments.own_side or arguments.ticks is not None
     checkpoints = networks(TRIAL, TRIAL_STEPS) if trial else networks(arguments.networks)
-    install, folder = acados_environment(), ROOT / "build" / "mlp_against_acados"
+    folder = ROOT / "build" / "mlp_against_acados"
     cases, problem, ticks = learned_record_cases(checkpoints, folder)
     processor, workers = native_processor().name, []
-    for build, environment in (("acados' (Haswell)", {"ALULA_HPIPM": str(install)}), ("CasADi's (generic)", {})):
+    builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
+    if not arguments.own_side:
+        install = acados_environment()
+        builds = {"acados' (Haswell)": {"ALULA_HPIPM": str(install)}, **builds}
+    for build, environment in builds.items():
         for kind, name in (("pi_tcn", "PI-TCN, T = 20"), ("pi_mlp", "MLP, T = 1")):
             command = own_command("kernel", "acados_mlp", "--own-worker", str(checkpoints / f"{kind}.pt"))
             workers.append(Worker(f"Alula, {name}, {processor}, BLASFEO {build}", command, **environment))
-    for condensing in CONDENSING:
+    for condensing in () if arguments.own_side else CONDENSING:
         name = f"acados SQP_RTI, MLP, T = 1, {condensing}"
         workers.append(acados_worker(name, install, problem, condensing, folder / condensing.lower()))
-    take_turns(workers, cases, min(ticks, arguments.ticks) if trial else ticks)
+    take_turns(workers, cases, min(ticks, arguments.ticks or ticks))
     title = "Learned models' RTI step against acados with the MLP, one core"
     return Page("mlp_against_acados", title, learned_table(workers), trial=trial)
