@@ -100,7 +100,7 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             "benchmarks.landing.start_height:start_height", ("start_height",), WHOLE_FLIGHT, ("--flights", "1")
         ),
         "thrust": Measurement(
-            "benchmarks.landing.thrust:thrust", ("thrust_in_the_air",), WHOLE_FLIGHT, ("--flights", "2")
+            "benchmarks.landing.thrust:thrust", ("thrust_in_the_air",), WHOLE_FLIGHT, ("--flights", "2", *NOT_KEPT)
         ),
     },
     "link": {

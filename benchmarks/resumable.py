@@ -15,7 +15,7 @@ def options_of(description: str | None, name: str, *, jobs: int = 1, **counts: i
     """`--jobs`, `--kept` and `--table` of results/NAME.md, and an integer option for each of the counts."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     for count, default in counts.items():
-        parser.add_argument(f"--{count}", type=int, default=default)
+        parser.add_argument(f"--{count.replace('_', '-')}", type=int, default=default)
     parser.add_argument("--jobs", type=int, default=jobs)
     parser.add_argument("--kept", type=Path, default=Path(f"build/{name}.jsonl"), help="where finished cases are kept")
     parser.add_argument("--table", action="store_true", help=f"write benchmarks/results/{name}.md")

@@ -9,6 +9,8 @@ Stopped in the air: less than 15 % of the hover thrust was sent, or the motors w
 0.3 m above the ground. A crash: the ground met at 2 m/s or more. Contact to motors off counts from the last contact.
 
     python -m benchmarks landing thrust [--flights 1000] [--first-seed 50000] [--jobs 1]
+
+A finished flight is a line of build/thrust_in_the_air.jsonl: a run that was stopped resumes.
 """
 
 from __future__ import annotations
@@ -18,10 +20,11 @@ from dataclasses import dataclass
 from math import exp, inf, log, nan, pi, radians
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from benchmarks.landing.whole_flights import with_controllers
-from benchmarks.measurement import Page, flown, options_of
+from benchmarks.measurement import Page, Result, measured, options_of
 from dynamics.references import named_reference
 from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle_file import find_vehicle
@@ -151,10 +154,10 @@ def fly(seed: int) -> Flown:
     reference = named_reference(case.reference, vehicle, duration=SECONDS)
     flight = fly_whole(options, reference, plan=case.plan, controllers=controllers, watch=loss, limit=PATIENCE)
     capable = vehicle.rotors.thrust_max / vehicle.weight * case.thrust * case.share
-    return measured(case, flight, loss, hover=vehicle.weight, capable=capable)
+    return outcome_of(case, flight, loss, hover=vehicle.weight, capable=capable)
 
 
-def measured(case: Case, flight: WholeFlight, loss: ThrustLoss, *, hover: float, capable: float) -> Flown:
+def outcome_of(case: Case, flight: WholeFlight, loss: ThrustLoss, *, hover: float, capable: float) -> Flown:
     """The figures of a flight. hover: N."""
     time, thrust, height = (np.array(column) for column in (flight.time, flight.thrust, flight.clearance))
     truth, carried, armed = np.array(flight.truth), np.array(flight.ground_force), np.array(flight.armed)
@@ -235,10 +238,22 @@ def table(flights: Sequence[Flown]) -> str:
     )
 
 
+def result_of(seed: int) -> Result:
+    """The outcome of a seed as it is kept."""
+    return {"key": seed, "flown": msgspec.to_builtins(fly(seed))}
+
+
+def line_of(result: Result) -> str:
+    """One line about a finished flight."""
+    one = msgspec.convert(result["flown"], Flown)
+    return f"{one.case.seed} {one.case.kind}: stopped at {one.stopped:.2f} m, sink {one.sink:.1f} m/s, {one.outcome}"
+
+
 def thrust(words: Sequence[str]) -> Page:
-    """Fly them and write the table."""
-    chosen = options_of(__doc__, jobs=1, flights=1000, first_seed=50000).parse_args(words)
-    seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.flights))
-    flights = sorted(flown(fly, seeds, jobs=chosen.jobs), key=lambda one: one.case.seed)
+    """Fly what has not been flown. Returns the page."""
+    chosen = options_of(__doc__, resumes="thrust_in_the_air", jobs=1, flights=1000, first_seed=50000).parse_args(words)
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.flights)
+    results = measured(result_of, seeds, chosen, line_of, key_of=int)
+    flights = [msgspec.convert(result["flown"], Flown) for result in results]
     note = f"Seeds {seeds[0]} to {seeds[-1]}, of which the even ones are take-offs."
     return Page("thrust_in_the_air", "Take-offs and losses of thrust", f"{note}\n\n{table(flights)}")
