@@ -1,4 +1,4 @@
-"""acados' SQP_RTI on the problem that `acados.py` hands over; runs in an environment of its own.
+"""acados' SQP_RTI on the problem that `beside_acados.py` hands over; runs in an environment of its own.
 
 Reads commands on standard input, one JSON object a line: {"cases": FILE, "first": i, "last": j}; answers each with a
 line of JSON: seconds per step as acados reports them (time_tot of preparation and of feedback), and the first input.

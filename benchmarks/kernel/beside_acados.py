@@ -1,4 +1,7 @@
-"""Alula's RTI steps beside acados' SQP_RTI: same problem, same states, same run, one core."""
+"""Alula's RTI steps beside acados' SQP_RTI: same problem, same states, same run, one core.
+
+Not named after acados: the worker has this folder on its path, and imports acados.
+"""
 
 from __future__ import annotations
 
