@@ -135,7 +135,9 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
         "jitter": Measurement(
             "benchmarks.kernel.jitter:jitter", ("rti_jitter", "rti_jitter_network"), KERNEL, ("--seconds", "2")
         ),
-        "acados": Measurement("benchmarks.kernel.beside_acados:nominal", ("rti_against_acados",), KERNEL, ("--ticks", "50")),
+        "acados": Measurement(
+            "benchmarks.kernel.beside_acados:nominal", ("rti_against_acados",), KERNEL, ("--ticks", "50")
+        ),
         "acados_mlp": Measurement(
             "benchmarks.kernel.beside_acados:learned", ("mlp_against_acados",), KERNEL, ("--ticks", "50")
         ),
