@@ -30,7 +30,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_stalled: consecutive steps below min_progress. [definition: the first may lead over a rise]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
-    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
+    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks estimation coverage]
     min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands.
     [margins: neither]
     slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
@@ -40,8 +40,8 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
         deviations, none with one]
     min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
         none]
-    faster: by which that cutoff is multiplied to see whether a value follows it. [results/counts.md: of seeds 24007
-        and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
+    faster: by which that cutoff is multiplied to see whether a value follows it. [results/counts.md: of seeds
+        24007 and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
     unsure: share of that move that is a deviation of the value. [definition: the deviation of two values]
     """
 
@@ -86,13 +86,13 @@ class SlowMotionThresholds(ThresholdGroup, frozen=True):
 class OutputErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on simulated windows.
 
-    window: s. [benchmarks/output_error.py]
+    window: s. [benchmarks estimation output_error]
     max_windows: of all segments, about. [margins: neither]
     min_windows: below which nothing is fitted. [margins: neither]
     max_steps: of Gauss-Newton. [margins: neither]
     shrinkage: of the errors' covariance towards its diagonal. [margins: neither]
     difference_step: of finite differences of hidden states' starts, relative. [margins: no case]
-    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks/output_error.py]
+    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks estimation output_error]
     """
 
     window: Positive = 0.5

@@ -25,7 +25,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     cutoff: of the low-pass on both sides, Hz. [margins: half]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [margins: double]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
-    [benchmarks/interval_coverage.py; decisions: instruments of a fit]
+    [benchmarks estimation coverage; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [formula: the low-pass has fallen to 0.3 % of its peak]
     """
@@ -192,13 +192,13 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     An agreement is the share of the angular acceleration about roll and pitch that an order of the rotors explains
     beside the air, damping and the centre of mass; an axis that turns the other way counts negatively.
 
-    order_margin: of agreement by which another order must exceed the file's. [benchmarks/rotor_orders.py]
+    order_margin: of agreement by which another order must exceed the file's. [benchmarks readers rotor_orders]
     min_explained: agreement of any combination of the rotors, below which a finding says so.
-    [benchmarks/rotor_orders.py]
-    no_relation: the same below which the rotors cannot be this flight's. [benchmarks/rotor_orders.py]
+    [benchmarks readers rotor_orders]
+    no_relation: the same below which the rotors cannot be this flight's. [benchmarks readers rotor_orders]
     min_share_of_mixture: of that combination's agreement that the file's arms must have. [formula: 0.5 for arms turned
     by 45 degrees]
-    opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks/rotor_orders.py]
+    opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks readers rotor_orders]
     max_opposite_ratio: of measured over modelled yaw acceleration then; above it something else yaws the vehicle
     against its rotors. [formula: constants of torque are known to a factor of two]
     min_outlier: logarithm of the gain of a rotor whose speed is doubted, over the greatest of its peers'. [definition:
@@ -207,7 +207,7 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     min_yaw_acceleration: the same about z, where rotors act less. [margins: neither]
     angular_ratio: range of measured over modelled angular acceleration. [margins: neither]
     max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
-    response_times: lags of rotors behind commands that are tried, s. [benchmarks/rotor_orders.py]
+    response_times: lags of rotors behind commands that are tried, s. [benchmarks readers rotor_orders]
     max_shift: of the rotors' clock against the gyro's that is tried, s. [margins: neither]
     min_flight: of one flight that is judged on its own, s. [margins: neither]
     min_rows: of a segment that is compared. [formula: three times the unknowns]

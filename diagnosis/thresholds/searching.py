@@ -48,7 +48,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
     search goes fewer steps. [margins: neither]
     max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
-    goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
+    goes on from that pair. [benchmarks adaptation estimates: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [margins: neither]
     max_trials: best additions that are cross-validated in one step. [margins: neither]
     max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: of two sets that
@@ -151,8 +151,8 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
     line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
     deviation of 100 values holds to 7 %]
-    state_shift: by which the state is taken later, and earlier, where it predicts, s. [results/counts.md, seeds
-    24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
+    state_shift: by which the state is taken later, and earlier, where it predicts, s. [results/counts.md,
+    seeds 24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
     catalogue 0.9 to 1.2 times]
     """
 
