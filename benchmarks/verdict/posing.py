@@ -93,10 +93,10 @@ def recordings() -> Path | None:
 
 def expected_of(case: Case, hidden: Mapping[str, Mapping[str, float]]) -> Expected:
     """The truth where every hidden effect must be named, or answered with `unknown` where no catalogue has it."""
-    known = {name: values for name, values in hidden.items() if name in CATALOGUE or name in NAMES}
-    outside = len(known) < len(hidden)
+    inside = {name: values for name, values in hidden.items() if name in CATALOGUE or name in NAMES}
+    outside = len(inside) < len(hidden)
     allowed = (*case.entry.allowed, *(("unknown",) if outside else ()))
-    return Expected(known, () if outside else tuple(known), case.entry.also, allowed, outside)
+    return Expected(inside, () if outside else tuple(inside), case.entry.also, allowed, outside)
 
 
 def _own(case: Case, _: Path) -> Posed:
@@ -170,7 +170,7 @@ Sih = tuple[dict[str, dict[str, float]], dict[str, bytes]]
 
 
 def _sih_logs(cases: Sequence[Case]) -> list[Sih]:
-    """What each case hides, and its two or three ULogs, compressed."""
+    """Hidden effects of each case, and its two or three ULogs, compressed."""
     return stored_together(_fly_sih, [("px4_like", case.entry.name, case.seed) for case in cases])
 
 

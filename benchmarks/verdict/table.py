@@ -31,12 +31,12 @@ silent where one that demands does not.
 
 def table(records: Sequence[Record], sets: Mapping[str, CaseSet]) -> str:
     """A line for each set and one for all."""
-    asked = [record for record in records if not record.lost]
+    answered = [record for record in records if not record.lost]
     lines = ["| " + " | ".join(HEADINGS) + " |", "|" + " --- |" * len(HEADINGS)]
     for name, each in sets.items():
-        if some := [record for record in asked if record.set_name == name]:
+        if some := [record for record in answered if record.set_name == name]:
             lines.append(_line(each.title, some))
-    return "\n".join([*lines, _line("**all**", asked)] if asked else lines)
+    return "\n".join([*lines, _line("**all**", answered)] if answered else lines)
 
 
 def page(records: Sequence[Record], sets: Mapping[str, CaseSet], head: str) -> str:
@@ -74,7 +74,7 @@ def in_words(record: Record) -> str:
         return f"{answer.word}: {answer.error or answer.refusal}"[:MAX_LENGTH].replace("\n", " ").replace("|", "/")
     named = "; ".join(map(_named, answer.effects)) or "-"
     gain = f"; gain like {', '.join(sorted(answer.gain_names))}" if answer.gain_names else ""
-    tests = sorted({found["test"] for found in answer.report.get("leftover", ())})
+    tests = sorted({leftover["test"] for leftover in answer.report.get("leftover", ())})
     reason = f" [{', '.join(tests)}]" if tests else ""
     return f"{answer.word}: {named}{gain}{reason}"
 

@@ -20,7 +20,7 @@ from fixtures.real_flights import DATA, SETS
 
 CASES = read_sets()
 ENTRIES = [entry for each in CASES.values() for entry in each.cases]
-KNOWN = {
+LISTED = {
     "px4_like": tuple(HIDDEN_CHANGES),
     "mutated": tuple(MUTATIONS),
     "statements": tuple(real.name for real in SETS),
@@ -42,13 +42,13 @@ def test_every_effect_that_the_outside_simulator_makes_is_asked() -> None:
     assert made == {(kind, name) for kind, names in KINDS.items() for name in names}
 
 
-@pytest.mark.parametrize("source", KNOWN)
+@pytest.mark.parametrize("source", LISTED)
 def test_names_are_known_to_their_source(source: str) -> None:
-    assert {entry.name for entry in of(source)} <= set(KNOWN[source])
+    assert {entry.name for entry in of(source)} <= set(LISTED[source])
 
 
 def test_every_statement_and_every_mutation_is_asked() -> None:
-    assert {entry.name for entry in of("statements", "mutated")} == {*KNOWN["statements"], *KNOWN["mutated"]}
+    assert {entry.name for entry in of("statements", "mutated")} == {*LISTED["statements"], *LISTED["mutated"]}
 
 
 def test_hidden_effects_have_the_parameters_of_the_catalogue() -> None:

@@ -16,17 +16,17 @@ from benchmarks.verdict.run import Run, answer, finished, read_run, write_run
 from benchmarks.verdict.scoring import Answer, Expected, Outcome, outcome_of
 from benchmarks.verdict.table import page, table
 from dynamics.errors import RequestError
-from tests.support.asked_cases import ASKED, KILLED_SEED, NAMED, named_drag
+from tests.support.judged_cases import JUDGED, KILLED_SEED, NAMED, named_drag
 
 SETS = read_sets()
 
 
 @pytest.fixture
-def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def case_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The cases that were asked, a line each; nothing is flown."""
-    file = tmp_path / "asked"
+    file = tmp_path / "questions"
     file.touch()
-    monkeypatch.setenv(ASKED, str(file))
+    monkeypatch.setenv(JUDGED, str(file))
     monkeypatch.setattr(runs, "ask", named_drag)
     monkeypatch.chdir(tmp_path)
     return file
@@ -40,7 +40,7 @@ def begun(folder: Path, first: int) -> tuple[Run, list[Case]]:
     return run, cases
 
 
-def test_a_run_that_was_stopped_goes_on_with_what_is_absent(tmp_path: Path, asked: Path) -> None:
+def test_a_run_that_was_stopped_goes_on_with_what_is_absent(tmp_path: Path, case_log: Path) -> None:
     folder = tmp_path / "run"
     run, cases = begun(folder, 10)
 
@@ -52,14 +52,14 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_absent(tmp_path: Path, aske
         answer(cases, run, folder, processes=1, note=stop_after_one)
     done = set(finished(cases, folder))
     assert len(done) == 1
-    asked.write_text("")
+    case_log.write_text("")
     records = answer(cases, read_run(folder), folder, processes=2, note=lambda _: None)
     assert [record.key for record in records] == [case.key for case in cases]
-    assert set(asked.read_text().split()) == {case.key for case in cases} - done
+    assert set(case_log.read_text().split()) == {case.key for case in cases} - done
     assert not list(folder.glob("*.part"))
 
 
-def test_a_process_that_is_killed_is_an_answer_and_the_others_are_asked(tmp_path: Path, asked: Path) -> None:
+def test_a_process_that_is_killed_is_an_answer_and_the_others_are_asked(tmp_path: Path, case_log: Path) -> None:
     run, cases = begun(tmp_path / "run", KILLED_SEED - 1)
     records = answer(cases, run, tmp_path / "run", processes=1, note=lambda _: None)
     outcomes = [outcome_of(record.answer, record.expected) for record in records]
@@ -67,7 +67,9 @@ def test_a_process_that_is_killed_is_an_answer_and_the_others_are_asked(tmp_path
     assert "killed" in records[1].answer.error
 
 
-def test_answers_of_two_versions_are_never_mixed(tmp_path: Path, asked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_of_two_versions_are_never_mixed(
+    tmp_path: Path, case_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "run"
     run, cases = begun(folder, 10)
     answer(cases[:1], run, folder, processes=1, note=lambda _: None)
@@ -97,7 +99,7 @@ def test_a_folder_has_one_run(tmp_path: Path) -> None:
 
 
 def test_the_command_stops_with_a_hint_and_goes_on(
-    tmp_path: Path, asked: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, case_log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -136,7 +138,7 @@ def test_a_wrong_request_is_refused(
 
 
 def test_recordings_that_are_not_there_are_left_out_with_a_sentence(
-    tmp_path: Path, asked: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, case_log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv(RECORDINGS, raising=False)
     assert command.main(["--sets", "rotorpy"]) == 0

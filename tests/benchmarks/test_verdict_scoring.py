@@ -28,7 +28,7 @@ def effect(name: str, *alike: str, confidence: float = 1.0, rotor: int | None = 
     }  # fmt: skip
 
 
-def said(verdict: str, *effects: Mapping[str, Any], gain: tuple[str, ...] = ()) -> Answer:
+def reply(verdict: str, *effects: Mapping[str, Any], gain: tuple[str, ...] = ()) -> Answer:
     """An answer with a verdict and its effects. gain: effects that are declared to be behind a gain of the commands."""
     look_alikes = {"value": 0.8, "std": 0.01, "look_alikes": list(gain)}
     return Answer({"verdict": verdict, "effects": list(effects), "command_gain": look_alikes if gain else None})
@@ -36,42 +36,42 @@ def said(verdict: str, *effects: Mapping[str, Any], gain: tuple[str, ...] = ()) 
 
 MAYBE_INERTIA = effect("inertia", confidence=0.6)
 LOADED = Expected({"mass": MASS}, ("mass",))
-GAIN = said("explained", gain=("mass", "thrust_constant"))
+GAIN = reply("explained", gain=("mass", "thrust_constant"))
 REFUSED, FAILED = Answer(refusal="too short"), Answer(error="ValueError: shapes")
 CASES = {
-    "nothing is explained": (said("explained"), NOTHING, Outcome.RIGHT),
-    "the effect alone": (said("effect", effect("linear_drag")), ONE, Outcome.RIGHT),
-    "both effects": (said("effect", effect("mass"), effect("linear_drag")), TWO, Outcome.RIGHT),
-    "its rotor": (said("effect", effect("weak_rotor", rotor=2)), ROTOR, Outcome.RIGHT),
-    "a force of no catalogue": (said("unknown"), FOREIGN, Outcome.RIGHT),
+    "nothing is explained": (reply("explained"), NOTHING, Outcome.RIGHT),
+    "the effect alone": (reply("effect", effect("linear_drag")), ONE, Outcome.RIGHT),
+    "both effects": (reply("effect", effect("mass"), effect("linear_drag")), TWO, Outcome.RIGHT),
+    "its rotor": (reply("effect", effect("weak_rotor", rotor=2)), ROTOR, Outcome.RIGHT),
+    "a force of no catalogue": (reply("unknown"), FOREIGN, Outcome.RIGHT),
     "a mutated log is refused": (REFUSED, MUTATED, Outcome.RIGHT),
-    "a mutated log is unknown": (said("unknown"), MUTATED, Outcome.RIGHT),
-    "made true by a mutation": (said("effect", effect("rotor_drag"), effect("linear_drag")), MUTATED, Outcome.RIGHT),
-    "a sensor that stayed in place": (said("effect", effect("imu_lever_arm")), SENSED, Outcome.RIGHT),
-    "too weak to be named": (said("explained"), WEAK, Outcome.RIGHT),
-    "too weak and named": (said("effect", effect("linear_drag")), WEAK, Outcome.RIGHT),
-    "beside a look-alike": (said("ambiguous", effect("linear_drag", "rotor_drag")), ONE, Outcome.DECLARED),
-    "as a look-alike": (said("ambiguous", effect("rotor_drag", "linear_drag")), ONE, Outcome.DECLARED),
-    "beside an unknown": (said("unknown", effect("linear_drag")), ONE, Outcome.DECLARED),
+    "a mutated log is unknown": (reply("unknown"), MUTATED, Outcome.RIGHT),
+    "made true by a mutation": (reply("effect", effect("rotor_drag"), effect("linear_drag")), MUTATED, Outcome.RIGHT),
+    "a sensor that stayed in place": (reply("effect", effect("imu_lever_arm")), SENSED, Outcome.RIGHT),
+    "too weak to be named": (reply("explained"), WEAK, Outcome.RIGHT),
+    "too weak and named": (reply("effect", effect("linear_drag")), WEAK, Outcome.RIGHT),
+    "beside a look-alike": (reply("ambiguous", effect("linear_drag", "rotor_drag")), ONE, Outcome.DECLARED),
+    "as a look-alike": (reply("ambiguous", effect("rotor_drag", "linear_drag")), ONE, Outcome.DECLARED),
+    "beside an unknown": (reply("unknown", effect("linear_drag")), ONE, Outcome.DECLARED),
     "behind a gain": (GAIN, LOADED, Outcome.DECLARED),
-    "not named": (said("explained"), ONE, Outcome.SILENT),
-    "one of two": (said("effect", effect("linear_drag")), TWO, Outcome.SILENT),
+    "not named": (reply("explained"), ONE, Outcome.SILENT),
+    "one of two": (reply("effect", effect("linear_drag")), TWO, Outcome.SILENT),
     "refused": (REFUSED, ONE, Outcome.SILENT),
     "refused where nothing is hidden": (REFUSED, NOTHING, Outcome.SILENT),
-    "unknown without a name": (said("unknown"), ONE, Outcome.SILENT),
-    "a force of no catalogue is explained": (said("explained"), FOREIGN, Outcome.SILENT),
-    "a mutated log is explained": (said("explained"), MUTATED, Outcome.SILENT),
-    "unknown where nothing is missing": (said("unknown"), NOTHING, Outcome.WRONG),
-    "a false effect": (said("effect", MAYBE_INERTIA), ONE, Outcome.WRONG),
-    "a false effect beside the true one": (said("effect", effect("linear_drag"), MAYBE_INERTIA), ONE, Outcome.WRONG),
-    "a false effect in an unknown": (said("unknown", effect("gust", confidence=0.4)), FOREIGN, Outcome.WRONG),
+    "unknown without a name": (reply("unknown"), ONE, Outcome.SILENT),
+    "a force of no catalogue is explained": (reply("explained"), FOREIGN, Outcome.SILENT),
+    "a mutated log is explained": (reply("explained"), MUTATED, Outcome.SILENT),
+    "unknown where nothing is missing": (reply("unknown"), NOTHING, Outcome.WRONG),
+    "a false effect": (reply("effect", MAYBE_INERTIA), ONE, Outcome.WRONG),
+    "a false effect beside the true one": (reply("effect", effect("linear_drag"), MAYBE_INERTIA), ONE, Outcome.WRONG),
+    "a false effect in an unknown": (reply("unknown", effect("gust", confidence=0.4)), FOREIGN, Outcome.WRONG),
     "a false gain": (GAIN, NOTHING, Outcome.WRONG),
     "an error": (FAILED, MUTATED, Outcome.WRONG),
-    "sure of a false effect": (said("effect", effect("inertia", confidence=0.9)), ONE, Outcome.SURE_AND_WRONG),
-    "sure of one in a mutated log": (said("unknown", effect("inertia")), MUTATED, Outcome.SURE_AND_WRONG),
-    "sure of look-alikes": (said("ambiguous", effect("inertia", "mass")), NOTHING, Outcome.SURE_AND_WRONG),
-    "sure of another rotor": (said("effect", effect("weak_rotor", rotor=1)), ROTOR, Outcome.SURE_AND_WRONG),
-    "sure where no catalogue has it": (said("effect", effect("rotor_drag")), FOREIGN, Outcome.SURE_AND_WRONG),
+    "sure of a false effect": (reply("effect", effect("inertia", confidence=0.9)), ONE, Outcome.SURE_AND_WRONG),
+    "sure of one in a mutated log": (reply("unknown", effect("inertia")), MUTATED, Outcome.SURE_AND_WRONG),
+    "sure of look-alikes": (reply("ambiguous", effect("inertia", "mass")), NOTHING, Outcome.SURE_AND_WRONG),
+    "sure of another rotor": (reply("effect", effect("weak_rotor", rotor=1)), ROTOR, Outcome.SURE_AND_WRONG),
+    "sure where no catalogue has it": (reply("effect", effect("rotor_drag")), FOREIGN, Outcome.SURE_AND_WRONG),
 }  # fmt: skip
 
 
@@ -100,14 +100,14 @@ def test_outcome_of_statements(statements: list[tuple[bool, bool, bool]], outcom
 
 
 def test_declared_and_gains_count_as_named() -> None:
-    answer = said("ambiguous", effect("rotor_drag", "linear_drag"), gain=("mass",))
+    answer = reply("ambiguous", effect("rotor_drag", "linear_drag"), gain=("mass",))
     assert unnamed(answer, TWO) == []
-    assert unnamed(said("explained"), TWO) == ["linear_drag", "mass"]
+    assert unnamed(reply("explained"), TWO) == ["linear_drag", "mass"]
 
 
 def test_intervals_count_what_was_fitted_of_what_is_hidden() -> None:
     truth = Expected({"linear_drag": DRAG, "ground_effect": {"gain": 2.0, "radius": 0.1}, "gust": {"intensity": 1.0}})
-    answer = said(
+    answer = reply(
         "effect",
         effect("linear_drag", coefficient=(0.0239, 0.002)),  # 1.95 deviations off
         effect("ground_effect", gain=(2.5, 0.2), radius=(0.1, 0.0)),  # 2.5 off; the radius was held at the truth
@@ -120,4 +120,4 @@ def test_intervals_count_what_was_fitted_of_what_is_hidden() -> None:
 def test_values_beside_a_wrong_shape_or_rotor_do_not_count() -> None:
     truth = Expected({"ground_effect": {"gain": 2.0, "radius": 0.1}, "weak_rotor": {"loss": 0.05, "rotor": 2.0}})
     shape = effect("ground_effect", gain=(2.0, 0.2), radius=(0.2, 0.0))
-    assert intervals(said("effect", shape, effect("weak_rotor", rotor=1, loss=(0.05, 0.01))), truth) == []
+    assert intervals(reply("effect", shape, effect("weak_rotor", rotor=1, loss=(0.05, 0.01))), truth) == []

@@ -10,7 +10,7 @@ from benchmarks.verdict.cases import Case
 from benchmarks.verdict.record import Record
 from benchmarks.verdict.scoring import Answer, Expected
 
-ASKED = "ASKED_CASES"  # file to which a process adds the case that it was asked
+JUDGED = "JUDGED_CASES"  # file to which a process adds the case that it was asked
 KILLED_SEED = 3
 NAMED = {
     "name": "linear_drag", "rotor": None, "confidence": 1.0, "ambiguous_with": [],
@@ -20,7 +20,7 @@ NAMED = {
 
 def named_drag(case: Case) -> Record:
     """A record that names a drag; the process that is asked the case of `KILLED_SEED` is killed."""
-    with Path(os.environ[ASKED]).open("a") as file:
+    with Path(os.environ[JUDGED]).open("a") as file:
         print(case.key, file=file)
     if case.seed == KILLED_SEED:
         os.kill(os.getpid(), signal.SIGKILL)
