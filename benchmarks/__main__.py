@@ -75,14 +75,17 @@ def main(words: Sequence[str]) -> int:
     if theme not in THEMES:
         print(f"benchmarks: {theme!r} is no theme. Wanted: all, {', '.join(THEMES)}.", file=sys.stderr)
         return REQUEST
-    if not rest or (rest[0].startswith("-") and len(THEMES[theme]) > 1 and rest[0] not in ("-h", "--help")):
+    names = list(THEMES[theme])
+    if len(names) == 1 and rest[:1] != names:
+        rest = [*names, *rest]
+    if rest[:1] in (["-h"], ["--help"]):
+        print("\n".join(line for line in catalogue().splitlines() if line.split()[0] == theme))
+        return 0
+    if not rest or rest[0].startswith("-"):
         return take_all([theme], rest)
     name, *options = rest
-    if name in ("-h", "--help"):
-        print("\n".join(line for line in catalogue().splitlines() if line.startswith(theme)))
-        return 0
-    if name not in THEMES[theme]:
-        print(f"benchmarks: {theme} measures {', '.join(THEMES[theme])}; {name!r} was given.", file=sys.stderr)
+    if name not in names:
+        print(f"benchmarks: {theme} measures {', '.join(names)}; {name!r} was given.", file=sys.stderr)
         return REQUEST
     take(THEMES[theme][name], options)
     return 0
