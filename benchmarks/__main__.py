@@ -58,8 +58,12 @@ def take_all(themes: Sequence[str], words: Sequence[str]) -> int:
 
 
 def catalogue() -> str:
-    """All themes, their measurements and pages."""
-    rows = [(theme, name, ", ".join(m.pages)) for theme, names in THEMES.items() for name, m in names.items()]
+    """All themes, their measurements and pages, and what these need."""
+    rows = [
+        (theme, name, ", ".join(m.pages) + (f" (needs {m.needs})" if m.needs else ""))
+        for theme, names in THEMES.items()
+        for name, m in names.items()
+    ]
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     return "\n".join(f"{theme:{widths[0]}}  {name:{widths[1]}}  {pages}" for theme, name, pages in rows)
 
