@@ -58,8 +58,12 @@ def take_all(themes: Sequence[str], words: Sequence[str]) -> int:
 
 
 def catalogue() -> str:
-    """All themes, their measurements and pages."""
-    rows = [(theme, name, ", ".join(m.pages)) for theme, names in THEMES.items() for name, m in names.items()]
+    """All themes, their measurements and pages, and what these need."""
+    rows = [
+        (theme, name, ", ".join(m.pages) + (f" (needs {m.needs})" if m.needs else ""))
+        for theme, names in THEMES.items()
+        for name, m in names.items()
+    ]
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     return "\n".join(f"{theme:{widths[0]}}  {name:{widths[1]}}  {pages}" for theme, name, pages in rows)
 
@@ -75,14 +79,17 @@ def main(words: Sequence[str]) -> int:
     if theme not in THEMES:
         print(f"benchmarks: {theme!r} is no theme. Wanted: all, {', '.join(THEMES)}.", file=sys.stderr)
         return REQUEST
-    if not rest or (rest[0].startswith("-") and len(THEMES[theme]) > 1 and rest[0] not in ("-h", "--help")):
+    names = list(THEMES[theme])
+    if len(names) == 1 and rest[:1] != names:
+        rest = [*names, *rest]
+    if rest[:1] in (["-h"], ["--help"]):
+        print("\n".join(line for line in catalogue().splitlines() if line.split()[0] == theme))
+        return 0
+    if not rest or rest[0].startswith("-"):
         return take_all([theme], rest)
     name, *options = rest
-    if name in ("-h", "--help"):
-        print("\n".join(line for line in catalogue().splitlines() if line.startswith(theme)))
-        return 0
-    if name not in THEMES[theme]:
-        print(f"benchmarks: {theme} measures {', '.join(THEMES[theme])}; {name!r} was given.", file=sys.stderr)
+    if name not in names:
+        print(f"benchmarks: {theme} measures {', '.join(names)}; {name!r} was given.", file=sys.stderr)
         return REQUEST
     take(THEMES[theme][name], options)
     return 0

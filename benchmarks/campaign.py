@@ -29,7 +29,9 @@ PATIENCE = 7200.0  # s
 
 def label_peaks(folder: Path) -> tuple[float, float]:
     """The greatest linear (m/s^2) and angular (rad/s^2) acceleration among all flights' labels."""
-    labels = [paper_label(Flight.read(file)) for split in ("train", "test") for file in (folder / split).iterdir()]
+    labels = [
+        paper_label(Flight.read(file)) for split in ("train", "test") for file in (folder / split).glob("*.parquet")
+    ]
     linear, angular = (
         max(float(np.nanmax(np.linalg.norm(label[:, part], axis=1))) for label in labels)
         for part in (slice(0, 3), slice(3, 6))

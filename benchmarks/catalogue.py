@@ -255,7 +255,10 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
     },
     "readers": {
         "reading": Measurement(
-            "benchmarks.readers:reading", ("read_flights",), ("flights",), ("--no-speed", "tests/data/px4_sih_flights")
+            "benchmarks.readers:reading",
+            ("read_flights",),
+            ("flights",),
+            ("--no-speed", "tests/data/imrc_lee_crazyflie"),
         ),
         "delays": Measurement(
             "benchmarks.readers:delays",

@@ -234,7 +234,8 @@ def network(words: Sequence[str]) -> Page | None:
     fastest = min(sum(timings[processor.name]["median"][3:5]) for timings in measured.values())
     streaming, windowed = inference(model)
     timings = growth(load(folder / "pi_tcn.pt"))
-    plot(timings)
+    if not (arguments.no_page or arguments.quick):
+        plot(timings)
     lines = [
         "PI-TCN (T = 20, receptive field 19, 16 channels, body frame), N = 20 nodes of 50 ms, exact history "
         "derivatives, floats; microseconds, medians over flights along a lemniscate. "

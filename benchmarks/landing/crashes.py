@@ -185,6 +185,9 @@ def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
     ]
     for what in sorted({one.what for one in crashes}):
         met = [one for one in crashes if one.what == what and np.isfinite(one.stopped)]
+        if not met:
+            lines.append(f"| {what} | 0 | - | - | - |")
+            continue
         noticed, stopped = (np.array([getattr(one, name) for one in met]) for name in ("noticed", "stopped"))
         unnoticed = int(np.sum(~np.isfinite(noticed)))
         lines.append(

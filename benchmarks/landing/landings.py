@@ -110,6 +110,8 @@ def table(landings: Sequence[Landing]) -> str:
     ]
     for kind in ("all", *KINDS):
         chosen = [one for one in landings if kind in ("all", one.kind)]
+        if not chosen:
+            continue
         before, tilt = (np.array([getattr(one, name) for one in chosen]) for name in ("before", "tilt"))
         motors, disarmed = (np.array([getattr(one, name) for one in chosen]) for name in ("motors", "disarmed"))
         lines.append(

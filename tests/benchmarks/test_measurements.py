@@ -17,9 +17,12 @@ from tests.support.pages import ROOT
 
 ALL = [(theme, name) for theme, names in THEMES.items() for name in names]
 UNDER_TWO_SECONDS = [
-    ("link", "parsing"), ("link", "clock"), ("simulator", "speed"), ("landing", "start_height"),
+    ("link", "clock"),
+    ("link", "recorder"),
+    ("simulator", "speed"),
     ("readers", "reading"),
-]  # fmt: skip
+]
+
 HEAD = re.compile(
     r"# .+\n\n\d{4}-\d\d-\d\d, commit (?:[0-9a-f]{7,40}(?: and uncommitted changes)?|unknown \(no git\)), .+, "
     r"\d+ cores, load .+ Command: `python .+`\n\n"
@@ -96,6 +99,31 @@ def test_a_name_that_is_none_is_answered_by_those_that_are(
 ) -> None:
     assert command.main(words) == command.REQUEST
     assert names in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "taken"),
+    [
+        (["link", "flood", "--seconds", "1"], ("link", "flood", ["--seconds", "1"])),
+        (["fleet", "--logs", "20"], ("fleet", "fleet", ["--logs", "20"])),
+        (["fleet", "fleet"], ("fleet", "fleet", [])),
+        (["public_sets", "folder"], ("public_sets", "score", ["folder"])),
+    ],
+)
+def test_a_theme_of_one_measurement_needs_no_second_name(
+    words: list[str], taken: tuple[str, str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple[Measurement, list[str]]] = []
+    monkeypatch.setattr(command, "take", lambda chosen, options: calls.append((chosen, options)))
+    assert command.main(words) == 0
+    theme, name, options = taken
+    assert calls == [(THEMES[theme][name], options)]
+
+
+def test_help_of_a_theme_lists_its_measurements(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["link", "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines] == [["link", name] for name in THEMES["link"]]
 
 
 def test_all_go_on_after_a_failure(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
