@@ -66,7 +66,7 @@ def test_a_page_is_headed_by_how_it_was_made(theme: str, name: str, results: Pat
 
 
 def test_the_smallest_form_writes_nothing(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command.take(THEMES["landing"]["start_height"], ["--quick"])
+    command.take(THEMES["link"]["clock"], ["--quick"])
     assert list(results.iterdir()) == []
     assert HEAD.search(capsys.readouterr().out)
 
