@@ -3,8 +3,11 @@
 # make test-all  those that take long as well: every page's commands, every case of the verdict, every journey
 # make lint   ruff, mypy, import-linter, the glossary's rules for identifiers and docstrings
 # make docs   the documentation as a site in build/site; a warning is an error
-# make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
-#             and make benchmarks/NAME.py takes one measurement alone
+# make study  the slow measurements in benchmarks/, each of which writes its own page; a failure is listed at the end.
+#             make benchmarks/THEME.py takes those of one theme, make benchmarks/THEME/NAME.py one alone
+#             (.venv/bin/python -m benchmarks lists them, --help has a measurement's options, --quick its smallest form)
+# make verdict  the judge of diagnosis: cases with a known truth, a line of scores a set, under an hour on two cores
+#             (ALULA_RECORDINGS=FOLDER with flights of PX4 and RotorPy); part of study
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
 # make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
 # make wheel  wheels for the flight computer, with compiled controllers of the bundled vehicles: dist/
@@ -23,10 +26,11 @@ PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --num
 RECIPE := pyproject.toml constraints.txt $(wildcard requirements/*.lock)
 HOURS ?= 8
 UV ?= uv
-STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
+# scripts with a command of their own; all other measurements are in benchmarks/catalogue.py
+STUDIES := $(filter-out benchmarks/__main__.py,$(shell grep -l '^if __name__ == "__main__"' benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test test-all lint docs study study-public wheel fuzz licences conformance clean $(STUDIES)
+.PHONY: demo hour test test-all lint docs study verdict study-public wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -47,16 +51,20 @@ lint: .venv/development.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python .ci/identifiers.py
+	$(BIN)/python .ci/result_ages.py
 
 docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@! grep -rnoE '(src="https?:|<link[^>]*href="https?:)[^"]*"' build/site --include='*.html' # it loads nothing from a network
 
-study: $(STUDIES) conformance
+study: benchmarks/all.py $(STUDIES) verdict conformance
+
+verdict: .venv/workbench.stamp
+	$(BIN)/python -m benchmarks.verdict
 
 study-public: .venv/workbench.stamp
 	@test -n "$(DIR)" || (echo "study-public: give the folder of your downloads: make study-public DIR=~/datasets" >&2; exit 2)
-	$(BIN)/python -m benchmarks.public_sets "$(DIR)" $(if $(SETS),--sets $(SETS))
+	$(BIN)/python -m benchmarks public_sets score "$(DIR)" $(if $(SETS),--sets $(SETS))
 
 conformance: .venv/development.stamp
 	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance
@@ -74,6 +82,11 @@ licences: .venv/development.stamp
 
 $(STUDIES): .venv/workbench.stamp
 	$(BIN)/python -m $(subst /,.,$(basename $@))
+
+benchmarks/%.py: .venv/workbench.stamp FORCE
+	$(BIN)/python -m benchmarks $(subst /, ,$*)
+
+FORCE:
 
 .venv/python.stamp:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Alula needs Python 3.11 or newer: make PYTHON=python3.12")'

@@ -4,12 +4,11 @@ Twenty vehicles with a log a week: five hide nothing, five a constant drag, five
 and in one flight a weak rotor. The run on two processes is killed half way and continued; of two Dask workers one is
 killed half way.
 
-    python -m benchmarks.fleet [--logs 1000] [--one 60] [--cluster 120]
+    python -m benchmarks fleet fleet [--logs 1000] [--one 60] [--cluster 120]
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.measurement import Page, options_of
 from dynamics.vehicle import EffectUse
 from fixtures.dask_cluster import dask_cluster
 from fixtures.fleet_flights import MINUTE, write_fleet
@@ -214,13 +213,13 @@ def is_weak(log: str, logs: Sequence[str], flights: int) -> bool:
     return kind_of(vehicle) == KINDS[3] and own.index(log) == weak_flight(flights)
 
 
-def main() -> None:
+def fleet(words: Sequence[str]) -> Page:
     """Fly the fleet, run it three times and write the table."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = options_of(__doc__)
     options.add_argument("--logs", type=int, default=1000, help="logs on two processes")
     options.add_argument("--one", type=int, default=60, help="logs on one process")
     options.add_argument("--cluster", type=int, default=120, help="logs on the Dask cluster")
-    chosen = options.parse_args()
+    chosen = options.parse_args(words)
     each = chosen.logs // VEHICLES
     folder = Path(tempfile.mkdtemp(prefix="alula-fleet-"))
     try:
@@ -271,8 +270,4 @@ def main() -> None:
         "",
         *summary_lines(report, each),
     ]
-    write_result("fleet", "A fleet", "\n".join(lines))
-
-
-if __name__ == "__main__":
-    main()
+    return Page("fleet", "A fleet", "\n".join(lines))

@@ -1,7 +1,7 @@
 """Public flights in a user's own download, scored: what is missing from their model, and what the effects explain.
 
     make study-public DIR=~/datasets [SETS="nanobench idsia"]
-    python -m benchmarks.public_sets ~/datasets [--sets nanobench idsia neurobem neural_fly] [--flights 10]
+    python -m benchmarks public_sets score ~/datasets [--sets nanobench idsia neurobem neural_fly] [--flights 10]
 
 DIR holds one folder for each set, under any of the names listed in `SETS`. Nothing is downloaded. Of a set with more
 flights than are asked for, some are taken evenly from all. Held out are the flights that its authors test on where
@@ -10,7 +10,8 @@ they say which, else the last fifth; forces and moments are compared below 8 Hz.
 
 from __future__ import annotations
 
-import argparse
+import csv
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,17 +20,56 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import alula
-from benchmarks.provenance import write_result
-from benchmarks.public_flights import neural_fly_flight
+from benchmarks.measurement import Page, options_of
 from diagnosis.models.open_loop import open_loop_errors
+from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
-from dynamics.errors import AlulaError, RequestError
+from dynamics.errors import AlulaError, DataError, RequestError
 from dynamics.vehicle import Body, Rotors, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from flights import Flight
+from flights.log import Log, Provenance, Stream
 from vehicles import FOLDER
+
+QUAD_X = (2, 1, 3, 0)  # PX4's motors at our rotors
+NEURAL_FLY_COLUMNS = ("t", "p", "v", "R", "w", "pwm")
+
+
+def neural_fly_flight(path: Path) -> Flight:
+    """A flight of Neural-Fly: cells hold lists, positions may be north-east-down.
+
+    Raises DataError for a file without its columns.
+    """
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    missing = [name for name in NEURAL_FLY_COLUMNS if not rows or name not in rows[0]]
+    if missing:
+        raise DataError(f"{path.name} lacks the columns {', '.join(missing)} of Neural-Fly's experiments.")
+    table = {name: np.array([_cell(row[name]) for row in rows], dtype=float) for name in NEURAL_FLY_COLUMNS}
+    time = table["t"].ravel() - table["t"].ravel()[0]
+    turn = Rotation.from_matrix(table["R"].reshape(-1, 3, 3))
+    position, velocity, rate = table["p"], table["v"], table["w"]
+    if np.mean(position[:, 2]) < 0:  # down is positive: north-east-down and forward-right-down
+        swap = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        position, velocity = swap.apply(position), swap.apply(velocity)
+        turn = swap * turn * Rotation.from_euler("x", np.pi)
+        rate = rate * [1.0, -1.0, -1.0]
+    command = np.clip((table["pwm"][:, list(QUAD_X)] - 1000.0) / 1000.0, 0.0, 1.0)
+    quantities: dict[str, Floats] = {
+        "position": position, "velocity": velocity, "rate": rate, "rotor_command": command,
+        "attitude": np.roll(turn.as_quat(canonical=True), 1, axis=1),
+    }  # fmt: skip
+    rising = np.concatenate([[True], np.diff(time) > 0])
+    streams = [Stream(name, time[rising], values[rising], "neural_fly") for name, values in quantities.items()]
+    return Flight.from_log(Log(tuple(streams), Provenance(path.name, "", "Neural-Fly experiment", "neural_fly")))
+
+
+def _cell(text: str) -> list[float]:
+    """A number, or a list of them, nested or not."""
+    return np.asarray(json.loads(text), dtype=float).ravel().tolist()
 
 
 @dataclass(frozen=True)
@@ -226,13 +266,13 @@ def section(public: PublicSet, folder: Path, limit: int) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
+def score(words: Sequence[str]) -> Page:
     """Score the sets that are there."""
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = options_of(__doc__)
     made.add_argument("folder", type=Path, help="that holds the downloads")
     made.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     made.add_argument("--flights", type=int, default=12, help="of each set at most")
-    options = made.parse_args()
+    options = made.parse_args(words)
     np.seterr(all="ignore")
     parts, missing = [], []
     for name in options.sets:
@@ -243,8 +283,4 @@ def main() -> None:
     print("\n".join(dict.fromkeys(missing)), file=sys.stderr)
     if not parts:
         raise SystemExit(2)
-    write_result("public_sets", "Public flights", "\n\n".join(parts))
-
-
-if __name__ == "__main__":
-    main()
+    return Page("public_sets", "Public flights", "\n\n".join(parts))

@@ -35,7 +35,7 @@ ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 RESPONSE_BAND = (0.05, 10.0)  # Hz: where a vehicle moves; slower is its battery
 MIN_COMMANDS = 20.0  # Hz at which commands must be logged for their response to be estimated
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
-# calibration of benchmarks/delay_estimation.py
+# calibration of benchmarks readers delays
 ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
 MAX_REACH = 0.008  # s of half an interval; a less certain delay is reported and not removed
 

@@ -1,10 +1,11 @@
 """Every threshold of diagnosis: unit, meaning, default, and where the default comes from.
 
-A field's line ends with its origin in brackets: "planted truth" (`benchmarks/diagnosis_planted_truth.py`, whose even
-seeds are for calibration), another benchmark, "decisions" (`docs/lab/diagnosis.md`), a definition, or "margins"
-(`benchmarks/threshold_margins.py`): its half and its double were tried on flights with a known answer, and what follows
-says with which of both an answer changes, or that no case reads it. Functions take a `Thresholds` as an argument;
-`diagnosis.thresholds_file` reads one from TOML, for a fleet that needs others.
+A field's line ends with its origin in brackets: "planted truth" (`results/diagnosis_planted_truth.md`, whose even
+seeds are for calibration), another measurement (`python -m benchmarks` lists them), "decisions"
+(`docs/lab/diagnosis.md`), a definition, or "margins" (`benchmarks thresholds margins`): its half and its double were
+tried on flights with a known answer, and what follows says with which of both an answer changes, or that no case reads
+it. Functions take a `Thresholds` as an argument; `diagnosis.thresholds_file` reads one from TOML, for a fleet that
+needs others.
 """
 
 from __future__ import annotations

@@ -30,18 +30,18 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_stalled: consecutive steps below min_progress. [definition: the first may lead over a rise]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
-    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
+    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks estimation coverage]
     min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands.
     [margins: neither]
     slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
         to turbulence. [docs/identification.md, section 3: an eighth of the bias is left]
     max_moved: standard deviations by which such instruments may move an effect that keeps the others; wider intervals
-        are their price. [benchmarks/verdicts.py, nothing hidden: 5 of 343 sets had an inertia without them, 2 with two
+        are their price. [results/verdicts.md, nothing hidden: 5 of 343 sets had an inertia without them, 2 with two
         deviations, none with one]
     min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
         none]
-    faster: by which that cutoff is multiplied to see whether a value follows it. [benchmarks/counts.py: of seeds 24007
-        and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
+    faster: by which that cutoff is multiplied to see whether a value follows it. [results/counts.md: of seeds
+        24007 and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
     unsure: share of that move that is a deviation of the value. [definition: the deviation of two values]
     """
 
@@ -86,13 +86,13 @@ class SlowMotionThresholds(ThresholdGroup, frozen=True):
 class OutputErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on simulated windows.
 
-    window: s. [benchmarks/output_error.py]
+    window: s. [benchmarks estimation output_error]
     max_windows: of all segments, about. [margins: neither]
     min_windows: below which nothing is fitted. [margins: neither]
     max_steps: of Gauss-Newton. [margins: neither]
     shrinkage: of the errors' covariance towards its diagonal. [margins: neither]
     difference_step: of finite differences of hidden states' starts, relative. [margins: no case]
-    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks/output_error.py]
+    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks estimation output_error]
     """
 
     window: Positive = 0.5
@@ -160,18 +160,18 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
     """Whether an effect has one value.
 
     max_drift: of its signal between where it acts strongly and weakly, or early and late in a flight, over the signal.
-    [benchmarks/verdicts.py: right forms 0.00 to 0.08, a form in place of another from 0.3]
+    [results/verdicts.md: right forms 0.00 to 0.08, a form in place of another from 0.3]
     deviations: of that difference from none, that is not chance. [convention: 95 %]
     sure: the same, above which an effect has no one value though no test of the residuals rejects. [decisions: a
         constant that warms up]
     min_over_noise: RMS of what the difference explains over the noise, above which that is so. [definition: 0.2 raises
         the error by 2 %]
     min_share_of_left: squared error that an effect explains over what is left above the floor, in the kind of channel
-        that falls most. [benchmarks/verdicts.py: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
+        that falls most. [results/verdicts.md: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
         floor has 0.05 beside one of 5 times]
     min_share_of_axis: the same of the axis that falls most; an effect may be below one of the two. [the same: 0.2]
     min_share_at_all: as the first, below which no axis counts: what is missing by a hundred times as much reaches any
-        axis. [benchmarks/verdicts.py, swirl-955 and 956: 0.004 and 0.006 of a constant that is right, with 0.34 and
+        axis. [results/verdicts.md, swirl-955 and 956: 0.004 and 0.006 of a constant that is right, with 0.34 and
         0.49 of an axis]
     """
 

@@ -19,7 +19,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_chi_square: reduced, of a typical held-out window. [planted truth]
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
-    min_over_gust: the same over floor and gust together, where one is named. [benchmarks/verdicts.py: gusts alone leave
+    min_over_gust: the same over floor and gust together, where one is named. [results/verdicts.md: gusts alone leave
     up to 0.9]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [margins: neither]
     max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that
@@ -133,11 +133,12 @@ class VehicleThresholds(ThresholdGroup, frozen=True):
     max_rounds: of correcting the vehicle and fitting again. [PX4's simulated flights: two to five]
     converged: correction over half of an interval below which it is none. [definition]
     model_error: half of an interval over the value that the model's own errors add.
-    [benchmarks/vehicle_from_logs.py: five sets of PX4's simulated flights]
-    lag_error: the same of the motors' lag. [benchmarks/vehicle_from_logs.py: the same, and each flight by itself]
+    [benchmarks estimation vehicle_from_logs: five sets of PX4's simulated flights]
+    lag_error: the same of the motors' lag.
+    [benchmarks estimation vehicle_from_logs: the same, and each flight by itself]
     max_interval: half of an interval over the value beyond which a value is not given. [convention]
     max_torque_deviation: standard deviation of the torque constant over it, beyond which the yaw inertia is assumed.
-    [benchmarks/vehicle_from_logs.py: 0.01 to 0.15 where flights show both; a rule errs by 0.4]
+    [benchmarks estimation vehicle_from_logs: 0.01 to 0.15 where flights show both; a rule errs by 0.4]
     min_loaded: squared speeds over usual ones below which a row is not in flight. [definition: half of the weight]
     max_lag: of speeds behind signals that is tried, s. [command_curve.max_lag and a third]
     lag_step: between the lags that are tried, s. [definition: a row at 200 Hz]

@@ -25,7 +25,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     cutoff: of the low-pass on both sides, Hz. [margins: half]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [margins: double]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
-    [benchmarks/interval_coverage.py; decisions: instruments of a fit]
+    [benchmarks estimation coverage; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [formula: the low-pass has fallen to 0.3 % of its peak]
     """
@@ -103,7 +103,7 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
 class CommandCurveThresholds(ThresholdGroup, frozen=True):
     """Thrust over command, where no rotor speed was measured. Applied when flights are read.
 
-    gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
+    gain: range of thrust over the vehicle file's. [results/real_flights.md: 0.63 to 1.7 occur]
     max_lag: of the rotors behind commands that is tried, s. [margins: neither]
     lag_step: between the lags that are tried, s. [margins: neither]
     noise: specific force of other effects, m/s^2. [margins: neither]
@@ -119,11 +119,11 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
         counts lift of travelling as thrust. [margins: neither]
     flight_gain_std: of a flight's own gain about it; the battery changes it. [margins: neither]
     motor_std: of a motor's gain about the first estimate. [margins: neither]
-    flight_motor_std: of a motor's gain in a flight about what all flights share. [benchmarks/px4_blind.py: 0.03 to 0.1
+    flight_motor_std: of a motor's gain in a flight about what all flights share. [results/px4_blind.md: 0.03 to 0.1
         give the same damping]
     bend_std: of the curve's bend at hover. [margins: neither]
     min_gain_change: of the gain from 1, from which on a wrong mass or thrust constant may be behind it.
-        [benchmarks/verdicts.py: 1.2 % at most in four sets that hide nothing]
+        [results/verdicts.md: 1.2 % at most in four sets that hide nothing]
     gain_deviations: standard deviations that this change has at least. [margins: neither]
     """
 
@@ -160,13 +160,13 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_rotor_speed: share of hover speed below which a sensor is dead. [margins: neither]
     unit_slack: factor by which a ratio may miss that of two units and still be called it. [margins: neither]
     velocity_span: over which velocity and the change of position are compared, s. [margins: neither]
-    max_velocity_error: by which they may differ, m/s. [benchmarks/mutated_flights.py]
-    max_estimator_error: the same of an estimator's pose, which corrects both separately. [benchmarks/verdicts.py: 153
+    max_velocity_error: by which they may differ, m/s. [results/mutated_flights.md]
+    max_estimator_error: the same of an estimator's pose, which corrects both separately. [results/verdicts.md: 153
     flights of 12 s with PX4's errors reach 0.61, half of them 0.37]
-    max_velocity_share: the same over the speed. [benchmarks/mutated_flights.py]
-    max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [benchmarks/mutated_flights.py]
+    max_velocity_share: the same over the speed. [results/mutated_flights.md]
+    max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [results/mutated_flights.md]
     max_rotor_clipped: the same of a rotor's speed or command, which may fly at its limit.
-    [benchmarks/mutated_flights.py]
+    [results/mutated_flights.md]
     """
 
     min_duration: Positive = 20.0
@@ -192,13 +192,13 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     An agreement is the share of the angular acceleration about roll and pitch that an order of the rotors explains
     beside the air, damping and the centre of mass; an axis that turns the other way counts negatively.
 
-    order_margin: of agreement by which another order must exceed the file's. [benchmarks/rotor_orders.py]
+    order_margin: of agreement by which another order must exceed the file's. [benchmarks readers rotor_orders]
     min_explained: agreement of any combination of the rotors, below which a finding says so.
-    [benchmarks/rotor_orders.py]
-    no_relation: the same below which the rotors cannot be this flight's. [benchmarks/rotor_orders.py]
+    [benchmarks readers rotor_orders]
+    no_relation: the same below which the rotors cannot be this flight's. [benchmarks readers rotor_orders]
     min_share_of_mixture: of that combination's agreement that the file's arms must have. [formula: 0.5 for arms turned
     by 45 degrees]
-    opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks/rotor_orders.py]
+    opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks readers rotor_orders]
     max_opposite_ratio: of measured over modelled yaw acceleration then; above it something else yaws the vehicle
     against its rotors. [formula: constants of torque are known to a factor of two]
     min_outlier: logarithm of the gain of a rotor whose speed is doubted, over the greatest of its peers'. [definition:
@@ -207,7 +207,7 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     min_yaw_acceleration: the same about z, where rotors act less. [margins: neither]
     angular_ratio: range of measured over modelled angular acceleration. [margins: neither]
     max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
-    response_times: lags of rotors behind commands that are tried, s. [benchmarks/rotor_orders.py]
+    response_times: lags of rotors behind commands that are tried, s. [benchmarks readers rotor_orders]
     max_shift: of the rotors' clock against the gyro's that is tried, s. [margins: neither]
     min_flight: of one flight that is judged on its own, s. [margins: neither]
     min_rows: of a segment that is compared. [formula: three times the unknowns]
@@ -260,12 +260,12 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     horizons: of open-loop prediction, s. [definition]
     start_interval: between starts of open-loop prediction, s. [margins: neither]
     free_start_durations: of a segment's beginning, from which hidden states that begin in mid-motion are fitted, s:
-        step by step, so that a swing of 60 degrees is followed. [benchmarks/verdicts.py: slung loads, seeds 500 to 502]
+        step by step, so that a swing of 60 degrees is followed. [results/verdicts.md: slung loads, seeds 500 to 502]
     free_start_rate: at which they are integrated for that, Hz. [the same: as at 50 Hz to 0.5 % of the swing]
     free_start_band: in which a motion is looked for, Hz. [formula: lines of 0.1 to 3 m]
     free_start_noise_band: in which noise is seen, Hz. [definition: above that, below the filters' cutoff]
     free_start_excess: of the power in the first over that in the second, above which something moves there.
-        [benchmarks/verdicts.py, nothing hidden: 1 in 20 segments is above, none above 3.3]
+        [results/verdicts.md, nothing hidden: 1 in 20 segments is above, none above 3.3]
     free_start_step: by which a state moves at most in a step, standard deviations. [the same slung loads]
     free_start_reach: by which it moves at most in all. [definition: 3 standard deviations]
     free_start_strength: of an effect that is sought, over its usual value. [definition: a tenth to five times]
@@ -341,7 +341,7 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     certain: share of their variance that is taken off normal equations. [formula: the least that
     a size known by a half may be]
     unsure: share of what the correction for these errors moves an estimate that is a deviation of it.
-    [benchmarks/verdicts.py, seeds below 964]
+    [results/verdicts.md, seeds below 964]
     draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
     predicts of them. [margins: neither]
     max_slope_change: ratio of a fit's slope to that with which the noise was made, either way, above which it is made

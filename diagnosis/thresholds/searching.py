@@ -48,7 +48,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
     search goes fewer steps. [margins: neither]
     max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
-    goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
+    goes on from that pair. [benchmarks adaptation estimates: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [margins: neither]
     max_trials: best additions that are cross-validated in one step. [margins: neither]
     max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: of two sets that
@@ -117,7 +117,7 @@ class GustThresholds(ThresholdGroup, frozen=True):
     strengths: that are tried in it. [formula: neighbours differ by a third]
     part: of a segment whose air is independent of that of the others, s. [formula: many correlation times]
     over_error: by which it must exceed an estimator's error of velocity, which is in several channels at once.
-    [benchmarks/verdicts.py: that error looks like gusts of 0.5 to 1.7 times its size]
+    [results/verdicts.md: that error looks like gusts of 0.5 to 1.7 times its size]
     """
 
     max_frequency: Positive = 0.7
@@ -145,14 +145,14 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     line_refinement: frequencies within a bin of which a line's own is the best. [definition]
     line_surroundings: bins over which a line's surroundings are the median. [margins: neither]
     agreement_powers: independent ones in the low band with which `max_agreement` holds; with fewer a torque's slow part
-    exceeds it by chance. [`benchmarks/short_logs.py`, seeds from
+    exceeds it by chance. [`results/short_logs.md`, seeds from
     930,000: torques are 2.75 times as strong there]
     window_width: noise bandwidth of a window of Hann, bins. [formula]
     chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
     line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
     deviation of 100 values holds to 7 %]
-    state_shift: by which the state is taken later, and earlier, where it predicts, s. [benchmarks/counts.py, seeds
-    24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
+    state_shift: by which the state is taken later, and earlier, where it predicts, s. [results/counts.md,
+    seeds 24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
     catalogue 0.9 to 1.2 times]
     """
 

@@ -21,7 +21,8 @@ RESULTS = "benchmarks/results"
 MEASUREMENTS = """# Measurements
 
 Every figure in these pages was measured by a script in `benchmarks/`, which wrote the page that it names;
-`make benchmarks/NAME.py` measures again. Each page ends with date, machine, versions and command.
+`python -m benchmarks` lists them, and `make benchmarks/THEME/NAME.py` measures again. Each page says with which date,
+commit, machine, versions and command it was made; older ones say so below, without a commit.
 
 """
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s:]+)(#[^)\s]*)?\)")

@@ -1,8 +1,8 @@
 """The paper's eight test manoeuvres and plainer ones as harmonic curves, in any plane and at any speed.
 
 Each of the eight is shaped so that its peak linear and angular accelerations are those of PI-TCN Table I, as far as a
-smooth curve of its kind on the paper's vehicle can have both: `benchmarks/references_table.py` lists which does. The
-paper has no more than a picture of the shapes and these two numbers.
+smooth curve of its kind on the paper's vehicle can have both: `benchmarks campaign references` lists which does.
+The paper has no more than a picture of the shapes and these two numbers.
 """
 
 from __future__ import annotations

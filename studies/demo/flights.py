@@ -30,7 +30,7 @@ from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 Announce = Callable[[str], None]
 # on the way to and from a manoeuvre
 BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0, origin="takeoff")
-PX4_HEIGHT = 2.5  # m, of the lowest point on an estimate whose height is a metre off (benchmarks/start_height.py)
+PX4_HEIGHT = 2.5  # m, of the lowest point on an estimate whose height is a metre off (benchmarks landing start_height)
 FINDING_PATIENCE = 30.0  # s for the vehicle's first heartbeat
 NOWHERE = "udpin:127.0.0.1:14540"  # the link in a recording of a flight without one
 STARVED = HealthLimits().stale  # s without the processor from which on the flight logic misses estimates

@@ -1,6 +1,6 @@
 """The user's own test: an effect is hidden, and the command line alone must identify it, add it, and be right.
 
-The draws are those of one seed; ALULA_ACCEPTANCE_SEED=N takes another one. `benchmarks/hidden_effect_draws.py` draws
+The draws are those of one seed; ALULA_ACCEPTANCE_SEED=N takes another one. `python -m benchmarks demo draws` draws
 random seeds. Of the draws `make test` tries one, `make test-all` each.
 """
 

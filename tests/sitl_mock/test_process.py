@@ -263,7 +263,7 @@ def test_lockstep_runs_as_fast_as_the_setpoints_come() -> None:
                 last = client.wait_for("ODOMETRY").time_usec
         simulated, elapsed = (last - first) * 1e-6, time.monotonic() - begun
     assert simulated == pytest.approx(2.0, abs=0.5)
-    assert elapsed < 10 * simulated  # far less on an idle machine; benchmarks/mock_load.py measures it
+    assert elapsed < 10 * simulated  # far less on an idle machine; benchmarks simulator load measures it
 
 
 def test_the_default_links_are_px4s() -> None:

@@ -6,7 +6,7 @@ from types import MappingProxyType
 import pytest
 
 from fixtures import flight_store
-from fixtures.flight_store import stored
+from fixtures.flight_store import stored, stored_together
 
 
 @pytest.fixture
@@ -48,3 +48,14 @@ def test_nothing_is_kept_without_a_folder(flown: list[str], monkeypatch: pytest.
     for _ in range(2):
         stored(lambda: fly(flown, "circle"), "circle")
     assert flown == ["circle"] * 2
+
+
+def test_flights_side_by_side_are_kept_one_by_one(flown: list[str]) -> None:
+    def together(names: list[str]) -> list[str]:
+        flown.append("+".join(names))
+        return [name.upper() for name in names]
+
+    assert stored_together(together, ["circle", "line"]) == ["CIRCLE", "LINE"]
+    assert stored_together(together, ["line", "bob", "circle"]) == ["LINE", "BOB", "CIRCLE"]
+    assert stored(lambda: 1 / 0, "bob") == "BOB"
+    assert flown == ["circle+line", "bob"]

@@ -3,7 +3,7 @@
 The model: each axis's acceleration is a random walk, its velocity is measured with white noise. Only the ratio of the
 two noises matters; it is given by the cutoff of the smoother, |H(f)| = 1 / (1 + (f / cutoff)^4), so that it can be
 compared with a Butterworth filter. On this linear model a UKF is the Kalman filter; the cost of its causality against
-the RTS smoother is in `benchmarks/acceleration_labels.py`.
+the RTS smoother is in `python -m benchmarks learning labels`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
-from fixtures.planted import planted_dataset
+from fixtures.planted_dataset import planted_dataset
 from vehicles import FOLDER
 
 

@@ -1,0 +1,1 @@
+"""Estimates of parameters beside planted truths: intervals, identification flights, vehicle constants."""

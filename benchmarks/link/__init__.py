@@ -1,0 +1,1 @@
+"""The link and the daemon: parsing, floods, clocks, timing, recording."""

@@ -1,0 +1,1 @@
+"""Tracking of the paper's manoeuvres, and the controller behind it."""
