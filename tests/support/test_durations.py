@@ -1,4 +1,4 @@
-"""Durations are kept on disk, and a long test without a reason is listed."""
+"""Durations are written on disk, and a long test without a reason is listed."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ def test_long_tests_without_a_reason_are_listed(ended: tuple[list[str], dict]) -
 
 
 def test_seconds_and_failures_are_kept(ended: tuple[list[str], dict]) -> None:
-    _, kept = ended
-    assert kept["phases"] == ["setup", "call", "teardown"]
-    seconds = {name.split("::")[1]: phases for name, phases in kept["seconds"].items()}
+    _, written = ended
+    assert written["phases"] == ["setup", "call", "teardown"]
+    seconds = {name.split("::")[1]: phases for name, phases in written["seconds"].items()}
     assert seconds["test_slow_with_a_reason"][1] == pytest.approx(0.15, abs=0.1)
-    assert [name.split("::")[1] for name in kept["failed"]] == ["test_fails"]
+    assert [name.split("::")[1] for name in written["failed"]] == ["test_fails"]
 
 
 def test_a_run_that_is_cut_off_leaves_what_it_had(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
