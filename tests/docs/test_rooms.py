@@ -79,9 +79,23 @@ def circle(imports: dict[str, set[str]]) -> list[str]:
     return []
 
 
-def test_no_module_imports_itself_by_way_of_its_own_package() -> None:
-    """The contract compares siblings: it takes what a package's own file imports for no import of a sibling."""
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """The modules that each module of this repository imports."""
     graph = grimp.build_graph(*CONTRACTS["root_packages"])
-    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    return {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+
+
+def test_no_module_imports_itself_by_way_of_its_own_package(imports: dict[str, set[str]]) -> None:
+    """The contract compares siblings: it takes what a package's own file imports for no import of a sibling."""
     assert circle(imports) == []
     assert circle({**imports, "flights.log": {*imports["flights.log"], "flights"}})
+
+
+def test_no_room_stands_on_itself_by_way_of_others(imports: dict[str, set[str]]) -> None:
+    """Layers name parts of rooms, so that two rooms could stand on each other by different parts."""
+    rooms: dict[str, set[str]] = {}
+    for module, imported in imports.items():
+        room = module.partition(".")[0]
+        rooms.setdefault(room, set()).update({one.partition(".")[0] for one in imported} - {room})
+    assert circle(rooms) == []
