@@ -15,8 +15,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, stats
 
 from diagnosis.data.filters import difference
 from diagnosis.report import MissingEffect, ParameterValue, Verdict
@@ -157,13 +157,13 @@ def judge_shares(
     spread, freedom = _spread(usual, thresholds)
     before, after, count = usual.mean(axis=0), now.mean(axis=0), vehicle.rotors.count
     error = spread * float(np.sqrt(1 / len(now) + 1 / len(usual)))
-    improbable = before + float(stats.t.ppf(1 - thresholds.false_alarms / count, freedom)) * error
+    improbable = before + float(scipy.stats.t.ppf(1 - thresholds.false_alarms / count, freedom)) * error
     limit = np.maximum(improbable, usual.max(axis=0) + thresholds.min_spreads * spread)
     change = after - before
     rotor = int(np.argmax(after - limit))
     effects: tuple[MissingEffect, ...] = ()
     if after[rotor] > limit[rotor]:
-        chance = min(1.0, count * float(stats.t.sf(change[rotor] / error, freedom)))
+        chance = min(1.0, count * float(scipy.stats.t.sf(change[rotor] / error, freedom)))
         effects = (_weak(rotor, before, after, error, 1.0 - chance, measured=measured),)
     moved = np.array(vehicle.rotors.position)[:, :2].T @ change / count
     table, names = np.round(np.column_stack([before, after, limit]), 4).tolist(), rotor_names(vehicle)
@@ -225,7 +225,7 @@ def _hovering(flight: Flight, thresholds: HoverTrimThresholds) -> NDArray[np.boo
     if flight.has("rate"):
         rows &= _smooth_norm(flight["rate"], flight.rate, thresholds) < thresholds.max_rate
     min_rows = max(1, round(thresholds.min_segment * flight.rate))
-    return np.asarray(ndimage.binary_opening(rows, structure=np.ones(min_rows)))
+    return np.asarray(scipy.ndimage.binary_opening(rows, structure=np.ones(min_rows)))
 
 
 def _smooth_norm(values: Floats, rate: float, thresholds: HoverTrimThresholds) -> Floats:

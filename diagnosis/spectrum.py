@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.signal import freqz, welch
+import scipy
 
 from diagnosis.models.channels import AXES, CHANNELS, KINDS
 from diagnosis.selection.noise import NoiseModel
@@ -41,13 +41,13 @@ def residual_spectrum(
 ) -> Spectrum:
     """Spectra below the filters' cutoff. rows: (m, 12) residuals of each segment at rate Hz."""
     length = min(thresholds.noise.spectrum_rows, *(len(r) for r in rows))
-    spectra = [welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
+    spectra = [scipy.signal.welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
     frequency = spectra[0][0]
     weights = np.array([len(r) for r in rows], dtype=float)
     power = np.average([p for _, p in spectra], axis=0, weights=weights).T
     model = np.full_like(power, np.nan)
     for channel, filter_, level in zip(noise.active, noise.filters, noise.level, strict=True):
-        response = freqz(1.0, filter_, worN=frequency, fs=rate)[1]
+        response = scipy.signal.freqz(1.0, filter_, worN=frequency, fs=rate)[1]
         model[channel] = 2 * level**2 / rate * np.abs(response) ** 2
     power[np.isnan(model[:, 0])] = np.nan
     below = frequency <= thresholds.filters.cutoff

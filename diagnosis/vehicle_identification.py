@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import msgspec
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 from scipy.special import ndtri
 
 from diagnosis.data.command_curve import lagged
@@ -352,7 +352,7 @@ def _signal_curve(signal: Floats, speed: Floats, rate: float) -> tuple[float, fl
         x = lagged(signal, rate, float(lag))[round(rate / 2) :].ravel()
         y = (speed[round(rate / 2) :] ** 2).ravel()
         scale = float(np.mean(y))
-        solved = lsq_linear(np.column_stack([x**2, x]), y / scale, bounds=(0, np.inf))
+        solved = scipy.optimize.lsq_linear(np.column_stack([x**2, x]), y / scale, bounds=(0, np.inf))
         full = float(np.sum(solved.x)) * scale
         best = min(best, (float(solved.cost), math.sqrt(full), float(solved.x[0]) * scale / full, float(lag)))
     return best[1:]

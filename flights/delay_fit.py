@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import interpolate, linalg, signal, stats
 
 from dynamics.arrays import Floats
 from flights import filters
@@ -102,7 +102,7 @@ def fit_delay(
             break
     random, systematic = CALIBRATION * std, float(np.hypot(closed_loop * unexplained, STAMPS))
     tail = 0.5 + CONFIDENCE / 2
-    reach = float(np.hypot(stats.t.ppf(tail, count - 1) * random, stats.norm.ppf(tail) * systematic))
+    reach = float(np.hypot(scipy.stats.t.ppf(tail, count - 1) * random, scipy.stats.norm.ppf(tail) * systematic))
     return FittedDelay(delay, float(np.hypot(random, systematic)), reach, round(count * BLOCK, 1), 1 - unexplained)
 
 
@@ -140,7 +140,7 @@ class _Segment:
 
 
 def _delayed(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
-    spline = interpolate.CubicSpline(np.arange(len(drive)) / rate, drive)
+    spline = scipy.interpolate.CubicSpline(np.arange(len(drive)) / rate, drive)
     return lambda seconds: np.asarray(spline(rows / rate - seconds))
 
 
@@ -154,7 +154,7 @@ def _lagged(
         step = 1 / rate / seconds
         keep = np.exp(-step)
         now, before = 1 - (1 - keep) / step, (1 - keep) / step - keep
-        followed = drive[0] + signal.lfilter([now, before], [1, -keep], since_start, axis=0)
+        followed = drive[0] + scipy.signal.lfilter([now, before], [1, -keep], since_start, axis=0)
         return _band(curve(followed), rate, band)[rows]
 
     return driven
@@ -185,7 +185,9 @@ class _Side:
         whitening = _prediction_error(self.residual)
 
         def white(values: Floats) -> Floats:
-            return np.concatenate([signal.lfilter(whitening, [1.0], part, axis=0) for part in np.split(values, ends)])
+            return np.concatenate(
+                [scipy.signal.lfilter(whitening, [1.0], part, axis=0) for part in np.split(values, ends)]
+            )
 
         return _Side(white(self.answer), white(self.columns), white(self.slope))
 
@@ -252,4 +254,4 @@ def _prediction_error(residual: Floats) -> Floats:
     if order == 0 or lags[0] <= 0.0:
         return np.ones(1)
     lags[0] *= 1.0 + 1e-4
-    return np.concatenate([[1.0], -linalg.solve_toeplitz(lags[:order], lags[1:])])
+    return np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(lags[:order], lags[1:])])

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -170,7 +170,7 @@ class _Indicators:
         used, unbalanced, lift, upward = effort(flight), None, None, None
         if force is not None and tilt is not None:
             width = max(1, round(SMOOTHED / flight.period))
-            body = ndimage.uniform_filter1d(np.nan_to_num(flight["specific_force"]), width, axis=0)
+            body = scipy.ndimage.uniform_filter1d(np.nan_to_num(flight["specific_force"]), width, axis=0)
             reaction = quaternion.rotate(np.nan_to_num(flight["attitude"]), body) - np.array([0.0, 0.0, GRAVITY])
             unbalanced = np.linalg.norm(reaction, axis=1)
             upward = body[:, 2] / GRAVITY
@@ -231,7 +231,7 @@ class _Indicators:
         if idle is None:
             return np.zeros(self.count, dtype=bool)
         if self.force is not None:
-            smooth = ndimage.uniform_filter1d(np.nan_to_num(self.force, nan=GRAVITY), self.rows(0.1))
+            smooth = scipy.ndimage.uniform_filter1d(np.nan_to_num(self.force, nan=GRAVITY), self.rows(0.1))
             idle = idle & (smooth > RESTING_FORCE * GRAVITY)
             if self.speed is not None:  # in a dive the air carries as much
                 idle &= np.nan_to_num(self.speed) < DRIFTING_SPEED
@@ -272,7 +272,7 @@ class _Indicators:
         if self.force is None or not np.any(np.isfinite(self.force)):
             return none, 0.0
         force = np.nan_to_num(self.force, nan=GRAVITY)
-        jump = np.abs(force - ndimage.median_filter(force, size=2 * self.rows(0.1) + 1))
+        jump = np.abs(force - scipy.ndimage.median_filter(force, size=2 * self.rows(0.1) + 1))
         scatter = 1.4826 * float(np.median(jump))
         hit = jump > max(IMPACT_FORCE, IMPACT_SPREAD * scatter)
         return hit, float(jump[hit].max(initial=0.0))
@@ -353,4 +353,4 @@ def _lasting(rows: Rows, min_rows: int) -> Rows:
 
 
 def _grown(rows: Rows, margin: int) -> Rows:
-    return np.asarray(ndimage.binary_dilation(rows, iterations=margin)) if rows.any() else rows
+    return np.asarray(scipy.ndimage.binary_dilation(rows, iterations=margin)) if rows.any() else rows

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
@@ -49,8 +49,8 @@ def zero_phase(values: Floats, rate: float, cutoff: float, order: int = ORDER) -
     after = 2 * rows[:, -1:] - rows[:, -2 : -padding - 2 : -1]
     padded = np.concatenate([before, rows, after], axis=1)
     initial = settled[:, None]
-    forward, _ = signal.sosfilt(sections, padded, axis=1, zi=initial * padded[:, :1])
-    backward, _ = signal.sosfilt(sections, forward[:, ::-1], axis=1, zi=initial * forward[:, -1:])
+    forward, _ = scipy.signal.sosfilt(sections, padded, axis=1, zi=initial * padded[:, :1])
+    backward, _ = scipy.signal.sosfilt(sections, forward[:, ::-1], axis=1, zi=initial * forward[:, -1:])
     filtered = backward[:, ::-1][:, padding : padding + len(values)]
     return np.moveaxis(filtered.reshape(*values.shape[1:], len(values)), -1, 0)
 
@@ -67,7 +67,7 @@ def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = O
 
     def forward(segment: Floats) -> Floats:
         start = settled.reshape(*settled.shape, *[1] * (segment.ndim - 1)) * segment[0]
-        return np.asarray(signal.sosfilt(sections, segment, axis=0, zi=start)[0])
+        return np.asarray(scipy.signal.sosfilt(sections, segment, axis=0, zi=start)[0])
 
     return each_segment(values, forward)
 
@@ -119,5 +119,5 @@ def _sections(rate: float, cutoff: float, order: int) -> tuple[Floats, Floats]:
         raise RequestError(
             f"a low-pass at {cutoff:g} Hz on data of {rate:g} Hz: wanted more than 0 and less than {0.5 * rate:g} Hz."
         )
-    sections = signal.butter(order, cutoff, fs=rate, output="sos")
-    return np.asarray(sections), np.asarray(signal.sosfilt_zi(sections))
+    sections = scipy.signal.butter(order, cutoff, fs=rate, output="sos")
+    return np.asarray(sections), np.asarray(scipy.signal.sosfilt_zi(sections))

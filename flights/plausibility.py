@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,6 @@ from flights.agreement import (
 from flights.alignment import resample
 from flights.log import Stream, spanning_streams
 from flights.quantities import MOTION
-
-if TYPE_CHECKING:
-    from flights.flight import Flight
 
 _GRID_RATE = 50.0  # Hz of the comparisons
 _MAX_ROWS = 60_000  # rows compared at most
@@ -92,16 +88,6 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         _clocks(on_grid),
     ]
     return tuple(finding for finding in contradictions if finding is not None)
-
-
-def check_flight(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction, ...]:
-    """Contradictions of a flight's columns while it flies. free: its segments of free flight."""
-    flying = np.zeros(len(flight), dtype=bool)
-    for part in free:
-        flying |= (flight.time >= part.time[0]) & (flight.time <= part.time[-1])
-    present = [name for name in MOTION if flight.has(name)]
-    streams = [Stream(name, flight.time, np.where(flying[:, None], flight[name], np.nan), "") for name in present]
-    return check(streams) if flying.any() else ()
 
 
 def _grid(streams: list[Stream]) -> Floats:

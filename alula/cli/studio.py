@@ -73,13 +73,14 @@ def studio(
     network. Ctrl-C ends it; a case stays in its folder as it stood.
     """
     with workbench("alula studio"):
+        from studies.results.read import RESULTS
         from studio.app.door import VARIABLE, Owner
         from studio.app.server import serve
         from studio.app.studio import Studio, default_root
     os.environ.pop(VARIABLE, None)  # the browser and the working processes need none
     owner = Owner(token or "")
     raise_limits(files=unpack_files, gigabytes=unpack_gb, ratio=unpack_ratio)
-    room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
+    room = Studio(cases or default_root(), RESULTS, memory=None if memory is None else int(memory * GIB))
     try:
         results = [room.open_result(path) for path in result or []]
         vehicle = vehicle or vehicle_beside(logs or [])

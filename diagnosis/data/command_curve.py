@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from diagnosis.data.filters import difference, simpson
 from diagnosis.data.segment import Segment
@@ -311,4 +311,4 @@ def lagged(values: Floats, rate: float, lag: float) -> Floats:
     if lag == 0.0:
         return values
     decay = float(np.exp(-1.0 / (rate * lag)))
-    return np.asarray(lfilter([1 - decay], [1.0, -decay], values, axis=0, zi=decay * values[:1])[0])
+    return np.asarray(scipy.signal.lfilter([1 - decay], [1.0, -decay], values, axis=0, zi=decay * values[:1])[0])

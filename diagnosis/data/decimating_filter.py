@@ -9,8 +9,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import as_strided
-from scipy import signal
 
 from diagnosis.data.filters import decimated_rows, simpson
 from diagnosis.thresholds import FilterThresholds
@@ -69,7 +69,7 @@ def _band(response: Floats, step: int) -> Floats:
 @lru_cache(maxsize=32)
 def _reach(rate: float, cutoff: float) -> int:
     """Rows after which the response to an impulse is negligible, by the filter's slowest pole."""
-    poles = np.abs(signal.butter(ORDER, cutoff, fs=rate, output="zpk")[1])
+    poles = np.abs(scipy.signal.butter(ORDER, cutoff, fs=rate, output="zpk")[1])
     return math.ceil(1.1 * math.log(NEGLECTED) / math.log(float(poles.max())))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import csd, welch
+import scipy
 
 from diagnosis.data.filters import difference
 from diagnosis.thresholds import DEFAULT, Thresholds
@@ -37,9 +37,9 @@ def _coherence(part: Flight, band: tuple[float, float], rows: int) -> float:
     attitude = quaternion.normalise(part["attitude"])
     force = np.einsum("nij,nj->ni", quaternion.rotation_matrix(attitude), part["specific_force"])
     acceleration = difference(part["velocity"], part.rate)
-    frequency, cross = csd(acceleration, force, part.rate, nperseg=rows, axis=0)
+    frequency, cross = scipy.signal.csd(acceleration, force, part.rate, nperseg=rows, axis=0)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    powers = [welch(x, part.rate, nperseg=rows, axis=0)[1][inside] for x in (acceleration, force)]
+    powers = [scipy.signal.welch(x, part.rate, nperseg=rows, axis=0)[1][inside] for x in (acceleration, force)]
     shared = np.abs(cross[inside]) ** 2
     share: Floats = shared / np.maximum(powers[0] * powers[1], 1e-30)
     return float(np.median(share))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2, norm
+import scipy
 
 from dynamics.arrays import Floats
 
@@ -16,4 +16,4 @@ def deviations_of(distance: Floats, covariance: Floats) -> float:
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     scaled = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-10)
     squared = float((distance / scale) @ scaled @ (distance / scale))
-    return float(norm.isf(max(chi2.sf(max(squared, 0.0), len(distance)), 1e-300) / 2))
+    return float(scipy.stats.norm.isf(max(scipy.stats.chi2.sf(max(squared, 0.0), len(distance)), 1e-300) / 2))

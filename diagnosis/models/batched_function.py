@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 from scipy.special import erf, erfinv
 
 from dynamics.arrays import Floats
@@ -279,7 +279,7 @@ def _accumulated(initial: Floats, factors: Floats, offsets: Floats) -> Floats:
     """(n, h) x_1 to x_n, where x_k+1 = factors_k x_k + offsets_k; all (n, h) but initial, (h,)."""
     if np.all(factors == factors[:1]):
         columns = zip(initial, factors[0], offsets.T, strict=True)
-        return np.stack([lfilter([1.0], [1.0, -a], b, zi=[a * x])[0] for x, a, b in columns], axis=1)
+        return np.stack([scipy.signal.lfilter([1.0], [1.0, -a], b, zi=[a * x])[0] for x, a, b in columns], axis=1)
     states, now = np.empty(offsets.shape), initial
     for k, (factor, offset) in enumerate(zip(factors, offsets, strict=True)):
         now = factor * now + offset

@@ -14,7 +14,7 @@ from typing import Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.signal import periodogram
+import scipy
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -136,7 +136,7 @@ class FreeStart:
             left = channels.measured(part)[:, _channel(part)] - thrust
             columns = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
             left -= (columns @ np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]).reshape(left.shape)
-            frequency, power = periodogram(left, part.decimated_rate, window="hann", axis=0)
+            frequency, power = scipy.signal.periodogram(left, part.decimated_rate, window="hann", axis=0)
             slow, fast = (
                 power[(low <= frequency) & (frequency <= high)].mean(axis=0)
                 for low, high in (limits.free_start_band, limits.free_start_noise_band)

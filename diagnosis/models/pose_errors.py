@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -107,7 +107,7 @@ def velocity_error(segment: Segment, random: np.random.Generator, thresholds: Po
     a, b = shares
     variance = (1 + a * b) / ((1 - a * b) * (1 - a * a) * (1 - b * b))
     white = random.standard_normal((before + len(segment), 3))
-    error = lfilter([1.0], [1.0, -(a + b), a * b], white, axis=0)[before:]
+    error = scipy.signal.lfilter([1.0], [1.0, -(a + b), a * b], white, axis=0)[before:]
     return np.asarray(velocity_disagreement(segment, thresholds) * error / np.sqrt(variance))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import csd
+import scipy
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.pose_errors import certain_error
@@ -126,8 +126,10 @@ def gyro_noise_of_its_own(segments: Sequence[Segment], thresholds: NoiseThreshol
     common, own = np.zeros(3), np.zeros(3)
     for segment in long:
         assert segment.gyro is not None
-        frequency, cross = csd(segment.gyro, segment.rate_from_attitude, rate, nperseg=thresholds.sensor_rows, axis=0)
-        _, power = csd(segment.gyro, segment.gyro, rate, nperseg=thresholds.sensor_rows, axis=0)
+        frequency, cross = scipy.signal.csd(
+            segment.gyro, segment.rate_from_attitude, rate, nperseg=thresholds.sensor_rows, axis=0
+        )
+        _, power = scipy.signal.csd(segment.gyro, segment.gyro, rate, nperseg=thresholds.sensor_rows, axis=0)
         inside = (frequency >= low) & (frequency <= high)
         common += len(segment) * np.real(cross[inside]).sum(axis=0)
         own += len(segment) * np.real(power[inside]).sum(axis=0)

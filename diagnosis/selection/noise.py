@@ -12,10 +12,9 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import solve_toeplitz
-from scipy.optimize import nnls
-from scipy.signal import lfilter, welch
 
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, POSE_ACCELERATION, SPECIFIC_FORCE
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
@@ -103,7 +102,9 @@ def estimate_noise(
         sets = [residuals, beyond_feedback] if beyond_feedback and channel in TORQUES else [residuals]
         parts = [[r[:, channel] for r in one] for one in sets]
         a, variance = _capped_ar(parts, rate, channel, pose, thresholds)
-        innovations = [[_above(lfilter(a, [1.0], x)[thresholds.order :], rate, start) for x in one] for one in parts]
+        innovations = [
+            [_above(scipy.signal.lfilter(a, [1.0], x)[thresholds.order :], rate, start) for x in one] for one in parts
+        ]
         filters.append(a)
         levels.append(np.sqrt(max(np.mean(np.concatenate(one) ** 2) for one in innovations) / fast_share))
         floor[channel] = np.sqrt(variance)
@@ -186,7 +187,7 @@ def sensor_floor(
         power = _spectrum(columns, rate, thresholds.sensor_rows)[1][: len(frequency)]
         fitted = power[inside] / response[inside]
         shapes = np.column_stack([np.ones(len(fitted)), frequency[inside] ** 2, frequency[inside] ** -2.0])
-        (white, rising, _), _ = nnls(shapes / fitted[:, None], np.ones(len(fitted)))
+        (white, rising, _), _ = scipy.optimize.nnls(shapes / fitted[:, None], np.ones(len(fitted)))
         total = np.sum((white + rising * frequency**2) * passed) * 2 * frequency[1]
         floor[channel] = np.sqrt(total)
     return floor
@@ -204,7 +205,7 @@ def white_density(
     shapes, lines = np.column_stack([np.ones(np.count_nonzero(inside)), frequency[inside] ** -2.0]), power[inside]
     expected, white = np.full(len(lines), lines.mean()), 0.0
     for _ in range(thresholds.reweightings if lines.all() else 0):
-        (white, tail), _ = nnls(shapes / expected[:, None], lines / expected)
+        (white, tail), _ = scipy.optimize.nnls(shapes / expected[:, None], lines / expected)
         expected = shapes @ [white, tail]
     return float(white)
 
@@ -245,7 +246,7 @@ def _spectrum(columns: Sequence[Floats], rate: float, rows: int) -> tuple[Floats
     length = min(rows, *(len(x) for x in columns))
     spectrum, weight = np.zeros(length), 0
     for x in columns:
-        frequency, power = welch(x, rate, nperseg=length, detrend=False, return_onesided=False)
+        frequency, power = scipy.signal.welch(x, rate, nperseg=length, detrend=False, return_onesided=False)
         spectrum, weight = spectrum + power * len(x), weight + len(x)
     return np.asarray(frequency), np.asarray(spectrum / weight)
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
-from scipy.stats import distributions
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE, measured
@@ -220,7 +220,7 @@ def _excess_of_few(low: int, reference: int, thresholds: ResidualTestThresholds)
     """
     usual = thresholds.agreement_powers
     here, there = (
-        float(distributions.f.isf(thresholds.chance, 2 * powers, 2 * powers * reference / low))
+        float(scipy.stats.f.isf(thresholds.chance, 2 * powers, 2 * powers * reference / low))
         for powers in (low / thresholds.window_width, usual)
     )
     return max(1.0, here / there)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from diagnosis.models.channels import MOTION
 from diagnosis.thresholds import ResidualTestThresholds
@@ -106,7 +106,7 @@ def _spectrum(rows: Sequence[Floats], thresholds: ResidualTestThresholds) -> tup
     for r in rows:
         used = r[:count]
         power += np.abs(np.fft.rfft(used * np.hanning(len(used))[:, None], count, axis=0)) ** 2
-    median = median_filter(power, size=(thresholds.line_surroundings, 1), mode="nearest")
+    median = scipy.ndimage.median_filter(power, size=(thresholds.line_surroundings, 1), mode="nearest")
     return power, np.maximum(median, 1e-12)
 
 

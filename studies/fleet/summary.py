@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.stats import false_discovery_control, kendalltau, theilslopes
+import scipy
 
 from diagnosis.models.channels import NAMES
 from studies.fleet.date import day_of
@@ -258,7 +258,7 @@ def drifts(
     dated = [one for history in series if (one := _drift(history, names[history.owner], thresholds)) is not None]
     if not dated:
         return ()
-    adjusted = false_discovery_control([one.probability for one in dated])
+    adjusted = scipy.stats.false_discovery_control([one.probability for one in dated])
     judged = [
         msgspec.structs.replace(one, is_drift=bool(value <= thresholds.false_discoveries))
         for one, value in zip(dated, adjusted, strict=True)
@@ -277,8 +277,8 @@ def _drift(history: History, label: str, thresholds: FleetThresholds) -> Drift |
     days, values = np.array([day_of(date) for date, _ in dated]), np.array([value for _, value in dated])
     if np.ptp(values) == 0.0:
         return None
-    slope = theilslopes(values, days, alpha=thresholds.confidence)
-    probability = float(kendalltau(days, values).pvalue)
+    slope = scipy.stats.theilslopes(values, days, alpha=thresholds.confidence)
+    probability = float(scipy.stats.kendalltau(days, values).pvalue)
     return Drift(
         label,
         history.quantity,

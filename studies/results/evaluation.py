@@ -13,9 +13,9 @@ from dynamics.field_errors import described
 from studies.evaluation.run import EvaluationAnswer
 from studies.evaluation.tables import evaluation_tables, summary_lines
 from studies.results.kinds import EVALUATION
-from studies.results.shown import Shown
 from studies.tables_page import as_page_table
 from studio.pages.figure import AFTER, GREEN, ORANGE, PURPLE, SKY, VERMILION, Picture, picture
+from studio.pages.shown import Shown
 from training.evaluation import NOMINAL, PLANT, EvaluationReport
 
 COLOURS = (AFTER, ORANGE, GREEN, PURPLE, SKY, VERMILION)

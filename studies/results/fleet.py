@@ -11,9 +11,9 @@ from studies.fleet.store import read_flights
 from studies.fleet.summary import Drift, FleetReport, outcome, summarise
 from studies.fleet.words import sentences
 from studies.results.kinds import FLEET
-from studies.results.shown import Shown
 from studio.pages.figure import Picture
 from studio.pages.numbers import unit_shown
+from studio.pages.shown import Shown
 from studio.pages.tables import Cell, PageTable
 
 MONTH = 30.0  # days

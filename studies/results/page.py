@@ -9,9 +9,9 @@ from pathlib import Path
 from flights.source import sha256
 from runtime.replay import ReplayReport
 from studies.results import recording
-from studies.results.shown import Shown
 from studio.pages.page import render, write_page
 from studio.pages.provenance import origin
+from studio.pages.shown import Shown
 
 
 def write_recording_page(path: Path, report: ReplayReport, target: Path) -> None:

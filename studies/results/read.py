@@ -5,8 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from studies.results.kinds import kind_of
-from studies.results.shown import Shown
+from studies.results.kinds import kind_of, stamp
+from studio.pages.shown import ResultReader, Shown
 
 
 def show(path: Path) -> Shown:
@@ -14,3 +14,6 @@ def show(path: Path) -> Shown:
     reader = import_module(f"studies.results.{kind_of(path)}")  # torch and matplotlib only where they are needed
     shown: Shown = reader.show(path)
     return shown
+
+
+RESULTS = ResultReader(stamp, show)

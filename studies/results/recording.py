@@ -14,9 +14,9 @@ from runtime.record.records import EventRecord, StateRecord
 from studies.results.kinds import RECORDING
 from studies.results.recorded_flight import RecordedFlight, read_flight_record
 from studies.results.recording_pictures import health_picture, quantiles, timing_picture, tracking_picture
-from studies.results.shown import Shown
 from studio.pages.figure import Picture
 from studio.pages.followed import followed_picture
+from studio.pages.shown import Shown
 from studio.pages.tables import Cell, PageTable
 
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -39,6 +39,7 @@ def _shown(flight: RecordedFlight) -> Shown:
         tables=[table for make in TABLES if (table := make(flight)).rows],
         logs={flight.path.name: flight.path},
         command=f"alula replay {flight.path}",
+        replayable=True,
     )
 
 

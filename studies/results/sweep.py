@@ -10,7 +10,6 @@ from dynamics.decoding import decode_json
 from dynamics.errors import RequestError
 from studies.figures import as_png
 from studies.results.kinds import SWEEP
-from studies.results.shown import Shown
 from studies.sweep.about import ABOUT, read_about
 from studies.sweep.catalogue import SEARCH
 from studies.sweep.cell import CellResult, FailedCell, Outcome, trained
@@ -19,6 +18,7 @@ from studies.sweep.report import summary_lines
 from studies.sweep.tables import search_table, study_tables
 from studies.tables import Table
 from studies.tables_page import as_page_table
+from studio.pages.shown import Shown
 from studio.pages.tables import Image
 
 

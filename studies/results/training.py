@@ -12,8 +12,8 @@ import plotly.graph_objects as go
 
 from dynamics.decoding import decode_json
 from studies.results.kinds import TRAINING, model_of
-from studies.results.shown import Shown
 from studio.pages.figure import AFTER, GREEN, ORANGE, PURPLE, SKY, VERMILION, Picture, line, picture
+from studio.pages.shown import Shown
 from studio.pages.tables import PageTable
 from training.card import Card
 from training.folder import CARD_SUFFIX

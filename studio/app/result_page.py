@@ -11,14 +11,12 @@ import dash_mantine_components as dmc
 from dash import MATCH, ClientsideFunction, Input, Output, State, dcc, html
 
 from dynamics.errors import AlulaError
-from studies.results.kinds import RECORDING, stamp
-from studies.results.read import show
-from studies.results.shown import Shown
 from studio.app.parts import action, card, command_box, graph, message, table
 from studio.app.studio import Studio
 from studio.app.theme import choices_of, figure_of
 from studio.pages.figure import Picture
 from studio.pages.numbers import shown as number_shown
+from studio.pages.shown import Shown
 from studio.pages.tables import Image, PageTable
 
 LONG = 12  # rows, from which a table scrolls
@@ -29,7 +27,7 @@ PLOT_ID = "result-{}"
 def layout(studio: Studio, path: Path, scheme: str) -> Any:
     """The answer in words, progress, pictures, tables."""
     try:
-        shown = show(path)
+        shown = studio.reader.show(path)
     except AlulaError as error:
         return message(str(error), title="This cannot be shown", colour="red")
     parts: list[Any] = [
@@ -41,7 +39,7 @@ def layout(studio: Studio, path: Path, scheme: str) -> Any:
     parts += [card(title, *_picture(number, one, scheme)) for number, (title, one) in enumerate(shown.pictures.items())]
     parts += [_image(image) for image in shown.images]
     parts += [_table(number, one) for number, one in enumerate(shown.tables)]
-    if shown.kind == RECORDING:
+    if shown.replayable:
         parts.append(_replay(studio, path))
     if shown.logs:
         parts.append(_open_as_case(shown))
@@ -53,7 +51,7 @@ def layout(studio: Studio, path: Path, scheme: str) -> Any:
 def signature(studio: Studio, path: Path) -> str:
     """Signature of the page; it is redrawn when this changes."""
     try:
-        return repr((stamp(path), studio.replays.lines(path)))
+        return repr((studio.reader.stamp(path), studio.replays.lines(path)))
     except AlulaError as error:
         return str(error)
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynamics.files import make_folder
-from studies.results.kinds import kind_of
 from studio.app.opened import OpenCase
 from studio.app.replays import Replays
 from studio.case.archive import unpack_archive
 from studio.case.case import Case, is_case
 from studio.case.state_file import ADVICE
 from studio.example import NAME, VEHICLE, example_logs
+from studio.pages.shown import ResultReader
 from studio.work.worker import Worker
 
 MAX_WORKERS = 2  # of all cases, beside the one that waits; each holds a case's flights
@@ -36,13 +36,14 @@ class Studio:
     """Cases by the short names that their pages' addresses have.
 
     root: folder in which new cases are made.
+    reader: of results that lie on disk.
     memory: bytes that a working process may take, None for a share of all.
     results: paths of the results that were opened, by their names in addresses.
     replays: of recordings among them.
     """
 
-    def __init__(self, root: Path, *, memory: int | None = None) -> None:
-        self.root = root
+    def __init__(self, root: Path, reader: ResultReader, *, memory: int | None = None) -> None:
+        self.root, self.reader = root, reader
         self._memory = memory
         self._cases: dict[str, OpenCase] = {}
         self._lock = threading.Lock()
@@ -82,7 +83,7 @@ class Studio:
     def open_result(self, path: Path) -> str:
         """Open a result that lies on disk. Returns its name in addresses. Raises RequestError for what is none."""
         path = path.expanduser().resolve()
-        kind_of(path)
+        self.reader.stamp(path)
         self.results[name_of(path)] = path
         return name_of(path)
 

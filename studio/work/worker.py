@@ -121,7 +121,10 @@ def serve(connection: Connection, memory: int, approved: tuple[tuple[Kind, str],
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
-    from studio.work.steps import StepRunner  # the libraries of the workbench, before the first task asks for them
+    import scipy.signal  # it and the libraries of the workbench, before the first task asks for them
+    import scipy.stats  # noqa: F401
+
+    from studio.work.steps import StepRunner
 
     runner = StepRunner()
     while True:

@@ -18,6 +18,7 @@ from werkzeug.routing import Rule
 
 from alula.cli.output import split_output
 from dynamics.errors import RequestError
+from studies.results.read import RESULTS
 from studio.app import door
 from studio.app.door import VARIABLE, Owner
 from studio.app.server import PORT, make_app, serve
@@ -31,7 +32,7 @@ HTML = {"Accept": "text/html,application/xhtml+xml"}
 
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    room = Studio(tmp_path_factory.mktemp("cases"))
+    room = Studio(tmp_path_factory.mktemp("cases"), RESULTS)
     yield room
     room.close()
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from studies.results.read import RESULTS
 from studio.app import studio as room
 from studio.app.home_page import layout
 from studio.app.opened import OpenCase
@@ -21,7 +22,7 @@ ORIGINALS = Path(__file__).parents[2] / "data" / "px4_sih_flights"
 @pytest.fixture
 def studio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Studio:
     monkeypatch.setattr(room, "Worker", CountedWorker)
-    return Studio(tmp_path / "cases")
+    return Studio(tmp_path / "cases", RESULTS)
 
 
 def test_an_example_is_one_click_away(studio: Studio) -> None:

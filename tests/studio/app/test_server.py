@@ -15,6 +15,7 @@ import alula
 from dynamics.effect_source import sha256_of
 from dynamics.errors import RequestError
 from dynamics.trust import approve_here
+from studies.results.read import RESULTS
 from studio.app.door import Owner
 from studio.app.server import MAX_FIGURE, PORT, make_app, serve
 from studio.app.studio import Studio, default_root
@@ -28,7 +29,7 @@ BASE = f"http://127.0.0.1:{PORT}"
 
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
-    room = Studio(tmp_path_factory.mktemp("cases"))
+    room = Studio(tmp_path_factory.mktemp("cases"), RESULTS)
     yield room
     room.close()
 

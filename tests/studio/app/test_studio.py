@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from studies.results.read import RESULTS
 from studio.app import studio as room
 from studio.app.studio import MAX_WORKERS, Studio
 from studio.work.worker import Outcome
@@ -37,7 +38,7 @@ def test_processes_of_cases_that_rest_end_and_one_waits_for_the_next(
     monkeypatch.setattr(room, "SPARE_DELAY", 0.0)
     log = tmp_path / "log.csv"
     log.write_text("t\n1\n")
-    server = Studio(tmp_path / "cases")
+    server = Studio(tmp_path / "cases", RESULTS)
     for _ in range(5):
         opened = server.case(server.create(name="case"))
         assert opened is not None

@@ -1,8 +1,8 @@
-"""Content of a page about a result: sentences, pictures, tables, and the logs that can be opened."""
+"""Content of a page about a result: sentences, pictures, tables, and the logs that can be opened; and who reads it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +23,7 @@ class Shown:
     logs: flights that can be opened as a case, by name.
     share: of the work that is done, 0 to 1, None for a result that is whole.
     command: that looks at the result further, or goes on with it.
+    replayable: whether it is a recording that the flight logic can fly again.
     """
 
     kind: str
@@ -34,3 +35,18 @@ class Shown:
     logs: Mapping[str, Path] = field(default_factory=dict)
     share: float | None = None
     command: str = ""
+    replayable: bool = False
+
+
+@dataclass(frozen=True)
+class ResultReader:
+    """Reader of the results that commands leave on disk, which pages show without knowing the rooms that make them.
+
+    stamp: of the result at a path, which changes with it.
+    show: its content as it stands.
+
+    Both raise RequestError for a path that holds no result, `show` DataError as well for one that cannot be read.
+    """
+
+    stamp: Callable[[Path], str]
+    show: Callable[[Path], Shown]
