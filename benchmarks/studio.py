@@ -56,7 +56,7 @@ def long_log(flight: Flight, seconds: float, path: Path) -> Path:
     count = int(np.ceil(seconds * flight.rate / len(flight)))
     rows = round(seconds * flight.rate)
     columns = {name: np.tile(values, count)[:rows] for name, values in flight.columns.items()}
-    return Path(replace(flight, time=np.arange(rows) / flight.rate, columns=columns).to_parquet(path))
+    return Path(replace(flight, time=np.arange(rows) / flight.rate, values=columns).to_parquet(path))
 
 
 def drop(page: Tab, files: list[Path]) -> float:

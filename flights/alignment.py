@@ -31,12 +31,12 @@ class AlignedTable:
     """Streams on one uniform clock.
 
     time: (n,) s.
-    columns: (n,) each, NaN in gaps.
+    values: (n, k) by quantity, NaN in gaps.
     origins: by quantity.
     """
 
     time: Floats
-    columns: Mapping[str, Floats]
+    values: Mapping[str, Floats]
     origins: Mapping[str, Origin]
 
 
@@ -52,12 +52,12 @@ def align(log: Log, *, rate: float | None = None) -> AlignedTable:
     if not streams:
         raise DataError(f"{log.provenance.path}: no flight data in it. " + " ".join(log.provenance.notes))
     time = _common_clock(streams, rate)
-    columns: dict[str, Floats] = {}
-    for stream in streams:
-        values = stream.values if np.array_equal(stream.time, time) else resample(_thinned(stream, time), time)
-        columns.update(zip(stream.columns, np.ascontiguousarray(values.T), strict=True))
+    values = {
+        stream.name: stream.values if np.array_equal(stream.time, time) else resample(_thinned(stream, time), time)
+        for stream in streams
+    }
     origins = {s.name: Origin(s.source, round(s.rate, 3), len(s.time)) for s in streams}
-    return AlignedTable(time, columns, origins)
+    return AlignedTable(time, values, origins)
 
 
 def _common_clock(streams: list[Stream], rate: float | None) -> Floats:

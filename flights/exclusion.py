@@ -164,7 +164,7 @@ class _Indicators:
         if flight.has("attitude"):
             upward = quaternion.rotate(flight["attitude"], np.array([0.0, 0.0, 1.0]))[:, 2]
             tilt = np.arccos(np.clip(upward, -1.0, 1.0))
-        landed = flight["landed"] if "landed" in flight.columns else None
+        landed = flight["landed"] if flight.has("landed") else None
         height = flight["position"][:, 2] if flight.has("position") else None
         force, speed, turning = (norm(name) for name in ("specific_force", "velocity", "rate"))
         used, unbalanced, lift, upward = effort(flight), None, None, None

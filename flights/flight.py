@@ -1,9 +1,10 @@
-"""A flight: one aligned table with unit and frame of every column, and its provenance."""
+"""A flight: quantities on one clock, with unit and frame of each, and its provenance."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
@@ -18,7 +19,16 @@ from flights import tables
 from flights.alignment import align
 from flights.log import Log, Origin, Provenance, Stream
 from flights.pose_source import PoseSource, source_of
-from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
+from flights.quantities import (
+    MAX_ROTORS,
+    MOTION,
+    QUANTITIES,
+    RESET_COUNTERS,
+    Quantity,
+    all_parts,
+    known_columns,
+    quantity_of,
+)
 from flights.reading import read_log
 
 if TYPE_CHECKING:
@@ -34,32 +44,35 @@ class Flight:
     """One flight on one uniform clock; unit and frame of every column are those of `flights.quantities`.
 
     time: (n,) s.
-    columns: name to (n,), read-only, NaN where there was no sample.
+    values: quantity to (n, k), read-only, NaN where there was no sample. A flight is made of columns as well, name to
+        (n,), which files have: of all columns of a quantity, or none.
     provenance: the file.
     origins: source and logged rate of each quantity.
     parameters: of the vehicle, as it logged them.
     """
 
     time: Floats
-    columns: Mapping[str, Floats]
+    values: Mapping[str, Floats]
     provenance: Provenance
     origins: Mapping[str, Origin] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Order the columns and make everything read-only; refuse columns that are not the flight CSV's."""
-        foreign = [name for name in self.columns if quantity_of(name) is None]
+        """Order the quantities and make everything read-only; refuse columns that are not the flight CSV's."""
+        foreign = [name for name, values in self.values.items() if not _is_known(name, np.ndim(values))]
         if foreign:
             raise DataError(f"{', '.join(foreign)} are no columns of a flight{unknown(foreign[0], known_columns())}")
-        order = {name: index for index, name in enumerate(QUANTITIES)}
-        names = sorted(self.columns, key=lambda name: _place(name, order))
-        frozen = {name: _read_only(self.columns[name]) for name in names}
-        if any(values.shape != self.time.shape for values in frozen.values()):
+        if any(np.shape(values)[:1] != self.time.shape for values in self.values.values()):
             raise DataError("the columns of a flight must all be as long as its time.")
         _require_uniform(self.time)
+        arrays = _by_quantity(self.values)
+        wrong = [name for name, values in arrays.items() if not _has_its_width(name, values)]
+        if wrong:
+            raise DataError(f"{wrong[0]} has the shape {arrays[wrong[0]].shape}, wanted (n, k) with its k columns.")
+        frozen = {name: _read_only(arrays[name]) for name in QUANTITIES if name in arrays}
         object.__setattr__(self, "time", _read_only(self.time))
-        object.__setattr__(self, "columns", MappingProxyType(frozen))
+        object.__setattr__(self, "values", MappingProxyType(frozen))
 
     @classmethod
     def read(cls, path: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Self:
@@ -77,7 +90,7 @@ class Flight:
     def from_log(cls, log: Log, *, rate: float | None = None) -> Self:
         """A log's streams as one aligned table. Raises DataError when there is nothing to align."""
         table = align(log, rate=rate)
-        return cls(table.time, table.columns, log.provenance, table.origins, log.parameters, log.metadata)
+        return cls(table.time, table.values, log.provenance, table.origins, log.parameters, log.metadata)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -116,7 +129,17 @@ class Flight:
     @property
     def quantities(self) -> tuple[str, ...]:
         """The quantities it has, in the order of the flight CSV."""
-        return tuple(dict.fromkeys(kind.name for name in self.columns if (kind := quantity_of(name)) is not None))
+        return tuple(self.values)
+
+    @cached_property
+    def columns(self) -> Mapping[str, Floats]:
+        """The columns (n,) by the names that files have for them, in the order of the flight CSV."""
+        return MappingProxyType({c: values for name in self.values for c, values in self.columns_of(name).items()})
+
+    def columns_of(self, quantity: str) -> dict[str, Floats]:
+        """The columns (n,) of one of its quantities by their names."""
+        values = self.values[quantity]
+        return dict(zip(QUANTITIES[quantity].columns(values.shape[1]), values.T, strict=True))
 
     @property
     def pose_source(self) -> PoseSource:
@@ -125,22 +148,25 @@ class Flight:
 
     def has(self, *names: str) -> bool:
         """Whether it has all of these quantities."""
-        return set(names) <= set(self.quantities)
+        return set(names) <= self.values.keys()
 
     def __getitem__(self, name: str) -> Floats:
-        """A column (n,), or all columns of a quantity (n, k).
+        """A quantity (n, k), or (n,) of a scalar; or one column (n,) of a quantity.
 
         Raises DataError when the flight has neither.
         """
-        if name in self.columns:
-            return self.columns[name]
-        parts = [column for column in self.columns if (kind := quantity_of(column)) is not None and kind.name == name]
-        if not parts:
-            raise DataError(
-                f"{self.provenance.path} has no {name}; it has {', '.join(self.quantities)}. Log it, or give a flight "
-                "that has it."
-            )
-        return np.stack([self.columns[part] for part in parts], axis=1)
+        kind = QUANTITIES.get(name) or quantity_of(name)
+        if kind is not None and kind.name in self.values:
+            values = self.values[kind.name]
+            if name == kind.name and kind.parts != ():
+                return values
+            columns = self.columns_of(kind.name)
+            if name in columns:
+                return columns[name]
+        raise DataError(
+            f"{self.provenance.path} has no {name}; it has {', '.join(self.quantities)}. Log it, or give a flight "
+            "that has it."
+        )
 
     def unit(self, name: str) -> str:
         """Unit of a column or quantity. Raises RequestError for one that no flight has."""
@@ -159,8 +185,8 @@ class Flight:
 
     def rows(self, start: int, stop: int) -> Self:
         """The rows from start to before stop, with their times as they are."""
-        columns = {name: values[start:stop] for name, values in self.columns.items()}
-        return type(self)(self.time[start:stop], columns, self.provenance, self.origins, self.parameters, self.metadata)
+        values = {name: array[start:stop] for name, array in self.values.items()}
+        return type(self)(self.time[start:stop], values, self.provenance, self.origins, self.parameters, self.metadata)
 
     def has_rate(self, rate: float) -> bool:
         """Whether it is of a single row, or of this rate, Hz, but for the rounding of its clock."""
@@ -168,15 +194,15 @@ class Flight:
 
     def at_rate(self, rate: float) -> Self:
         """The flight on a clock of another rate, Hz; of a log, `from_log` interpolates once less."""
-        streams = tuple(Stream(name, self.time, self[name].reshape(len(self), -1), "") for name in self.quantities)
+        streams = tuple(Stream(name, self.time, values, "") for name, values in self.values.items())
         log = Log(streams, self.provenance, metadata=self.metadata, parameters=self.parameters)
         return replace(type(self).from_log(log, rate=rate), origins=self.origins)
 
     def usable(self) -> NDArray[np.bool_]:
         """(n,) whether the vehicle was armed, as far as that was logged, and no quantity of motion has a gap."""
         good = np.ones(len(self.time), dtype=bool)
-        if "armed" in self.columns:
-            good &= self.columns["armed"] != 0.0  # before its first sample nothing is excluded
+        if self.has("armed"):
+            good &= self["armed"] != 0.0  # before its first sample nothing is excluded
         for name in MOTION:
             if self.has(name):
                 good &= np.isfinite(self[name]).all(axis=1)
@@ -193,8 +219,8 @@ class Flight:
             good &= ~exclude
         breaks = np.zeros(len(self.time), dtype=bool)
         for name in RESET_COUNTERS:
-            if name in self.columns:
-                breaks[1:] |= np.diff(_filled(self.columns[name])) != 0
+            if self.has(name):
+                breaks[1:] |= np.diff(_filled(self[name])) != 0
         segment = np.cumsum(breaks | np.concatenate([[True], good[1:] != good[:-1]])) if len(good) else good
         edges = np.flatnonzero(np.diff(segment, prepend=-1, append=-1)) if len(good) else np.empty(0, dtype=int)
         bounds = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
@@ -222,13 +248,25 @@ class Flight:
         return tables.write_parquet(self.time, self.columns, notes, Path(path))
 
 
-def _place(name: str, order: Mapping[str, int]) -> tuple[int, int, str]:
-    quantity = quantity_of(name)
-    if quantity is None:
-        return len(order), 0, name
-    if quantity.parts is None:
-        return order[quantity.name], int(name.rpartition("_")[2]), name
-    return order[quantity.name], quantity.columns(len(quantity.parts)).index(name), name
+def _by_quantity(table: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Quantity to (n, k) of a table of quantities (n, k) and of columns (n,), whose names `quantity_of` knows."""
+    arrays = {name: values for name, values in table.items() if name in QUANTITIES and np.ndim(values) == 2}
+    columns: dict[str, dict[str, Floats]] = {}
+    for name, values in table.items():
+        if name not in arrays and (quantity := quantity_of(name)) is not None:
+            columns.setdefault(quantity.name, {})[name] = values
+    for name, parts in columns.items():
+        arrays[name] = np.stack([parts[part] for part in all_parts(QUANTITIES[name], parts)], axis=1)
+    return arrays
+
+
+def _is_known(name: str, dimensions: int) -> bool:
+    """Whether a flight has such a column, or such a quantity where it is an array (n, k)."""
+    return quantity_of(name) is not None or (dimensions == 2 and name in QUANTITIES)
+
+
+def _has_its_width(name: str, values: Floats) -> bool:
+    return values.ndim == 2 and len(QUANTITIES[name].columns(values.shape[1])) == values.shape[1] <= MAX_ROTORS
 
 
 def _require_uniform(time: Floats) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
+
+from dynamics.errors import DataError
 
 Kind = Literal["linear", "attitude", "step"]
 MAX_ROTORS = 16
@@ -99,3 +101,16 @@ def quantity_of(column: str) -> Quantity | None:
 def known_columns(rotors: int = 4) -> tuple[str, ...]:
     """Every column of the flight CSV for a number of rotors, the time excepted."""
     return tuple(column for quantity in QUANTITIES.values() for column in quantity.columns(rotors))
+
+
+def all_parts(quantity: Quantity, present: Collection[str]) -> tuple[str, ...]:
+    """The quantity's columns in their own order. Raises DataError when some of them are missing."""
+    width = len(present) if quantity.parts is None else len(quantity.parts)
+    parts = quantity.columns(width)
+    missing = [part for part in parts if part not in present]
+    if missing:
+        raise DataError(
+            f"{', '.join(missing)} missing beside {', '.join(sorted(present))}. Wanted all columns of {quantity.name} "
+            "or none; rename or add them."
+        )
+    return parts

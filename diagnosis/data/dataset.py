@@ -191,7 +191,7 @@ def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:
     by_content: dict[bytes, Flight] = {}
     copies = []
     for flight in flights:
-        key = b"".join(np.round(flight.columns[name], 6).tobytes() for name in flight.columns)
+        key = b"".join(np.round(values, 6).tobytes() for values in flight.values.values())
         if key in by_content:
             copies.append(flight.provenance.path)
         by_content.setdefault(key, flight)

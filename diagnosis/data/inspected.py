@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -151,9 +152,4 @@ def _contradicted(parts: Sequence[Segment], wrong: UnevenRotor, vehicle: Vehicle
 
 
 def _without_speeds(flight: Flight) -> Flight:
-    columns = {name: values for name, values in flight.columns.items() if not _is_speed(name)}
-    return Flight(flight.time, columns, flight.provenance, flight.origins, flight.parameters, flight.metadata)
-
-
-def _is_speed(name: str) -> bool:
-    return name.startswith("rotor_speed_") and name.removeprefix("rotor_speed_").isdigit()
+    return replace(flight, values={name: v for name, v in flight.values.items() if name != "rotor_speed"})

@@ -135,7 +135,7 @@ def _segment_signals(segment: Flight) -> dict[str, Floats]:
         signals["turning"] = np.linalg.norm(rate, axis=1)
     if segment.has("position"):
         signals["height"] = segment["position"][:, 2]
-    if "battery_voltage" in segment.columns:
+    if segment.has("battery_voltage"):
         signals["voltage"] = segment["battery_voltage"]
     thrust = effort(segment)
     if thrust is not None:

@@ -11,7 +11,7 @@ from dynamics.arrays import Floats
 from flights.flight import Flight
 from flights.quality.channels import STUCK_TIME
 from flights.quality.findings import Finding
-from flights.quantities import MOTION, quantity_of
+from flights.quantities import MOTION
 
 NOISY = ("rate", "specific_force", "rotor_speed")  # sensors whose noise changes every sample
 NOISY_TIME = 2.0  # s for which they may keep a value
@@ -33,7 +33,9 @@ def frozen_rows(flight: Flight) -> dict[str, NDArray[np.bool_]]:
     frozen: dict[str, NDArray[np.bool_]] = {}
     moving = _moving(flight)
     for quantity in WATCHED:
-        columns = {n: v for n, v in flight.columns.items() if (q := quantity_of(n)) is not None and q.name == quantity}
+        if not flight.has(quantity):
+            continue
+        columns = flight.columns_of(quantity)
         varying = {name: _varies(values) for name, values in columns.items()}
         for name, values in columns.items():
             if not any(varying.values()) or (not varying[name] and not np.any(np.nan_to_num(values))):
@@ -54,10 +56,10 @@ def frozen_rows(flight: Flight) -> dict[str, NDArray[np.bool_]]:
 
 def _moving(flight: Flight) -> NDArray[np.bool_]:
     """(n,) rows from or to which any column of motion changes."""
-    names = [n for n in flight.columns if (q := quantity_of(n)) is not None and q.name in MOTION]
     changed = np.zeros(max(0, len(flight) - 1), dtype=bool)
-    for name in names:
-        changed |= np.abs(np.diff(flight.columns[name])) > 0.0
+    for name in MOTION:
+        if flight.has(name):
+            changed |= (np.abs(np.diff(flight[name], axis=0)) > 0.0).any(axis=1)
     return np.asarray(np.concatenate([changed, [False]]) | np.concatenate([[False], changed]))
 
 
@@ -83,7 +85,7 @@ def frozen_findings(flight: Flight) -> list[Finding]:
         Finding(
             "warning",
             "frozen_channel",
-            f"{name} stands at {flight.columns[name][rows][0]:.6g} {flight.unit(name)} for "
+            f"{name} stands at {flight[name][rows][0]:.6g} {flight.unit(name)} for "
             f"{np.count_nonzero(rows) * flight.period:.1f} s, which are left out",
             "it is no measurement there; check its sensor, and leave the column out until it works",
         )

@@ -18,7 +18,7 @@ from dynamics.errors import DataError
 from dynamics.spelling import nearest
 from flights.assembly import Assembly
 from flights.log import LogContent
-from flights.quantities import PRIMARY, QUANTITIES, known_columns, quantity_of
+from flights.quantities import PRIMARY, QUANTITIES, all_parts, known_columns, quantity_of
 from flights.source import Source, TimeSpan
 from flights.tables import TIME
 
@@ -144,7 +144,7 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
         if name not in grouped or not columns.keys() >= set(grouped[name]):
             continue
         try:
-            parts = _all_parts(name, grouped[name])
+            parts = all_parts(QUANTITIES[name], grouped[name])
         except DataError as error:
             if name in PRIMARY:
                 raise
@@ -266,17 +266,3 @@ def _without_duplicates(names: Sequence[str], assembly: Assembly) -> list[str]:
     if twice:
         assembly.repair("stream_left_out", f"{', '.join(twice)}: columns that are there more than once left out")
     return [name for name in names if name not in twice]
-
-
-def _all_parts(name: str, present: list[str]) -> tuple[str, ...]:
-    """The quantity's columns in their own order. Raises DataError when some of them are missing."""
-    quantity = QUANTITIES[name]
-    width = len(present) if quantity.parts is None else len(quantity.parts)
-    parts = quantity.columns(width)
-    missing = [part for part in parts if part not in present]
-    if missing:
-        raise DataError(
-            f"{', '.join(missing)} missing beside {', '.join(sorted(present))}. Wanted all columns of {name} or none; "
-            "rename or add them."
-        )
-    return parts

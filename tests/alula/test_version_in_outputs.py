@@ -95,7 +95,7 @@ def test_pages(tmp_path: Path) -> None:
 
 
 def test_flight_tables(tmp_path: Path) -> None:
-    flight = Flight(np.arange(3.0), {"position_x": np.zeros(3)}, Provenance("a", "", "flight CSV", "test"))
+    flight = Flight(np.arange(3.0), {"yaw": np.zeros(3)}, Provenance("a", "", "flight CSV", "test"))
     metadata = pa_parquet.read_schema(flight.to_parquet(tmp_path / "a.parquet")).metadata
     assert metadata[VERSION_KEY.encode()] == __version__.encode()
 

@@ -68,12 +68,42 @@ def test_a_parquet_file_keeps_what_was_known_of_its_source(tmp_path: Path) -> No
 
 def test_columns_are_in_the_order_of_the_flight_csv_and_cannot_be_changed() -> None:
     t = np.arange(3.0)
-    flight = _flight(t, rotor_speed_1=t, rate_x=t, position_x=t, rotor_speed_0=t)
-    assert list(flight.columns) == ["position_x", "rate_x", "rotor_speed_0", "rotor_speed_1"]
+    flight = _flight(t, rotor_speed_1=t, rate_z=t, rate_x=t, rate_y=t, yaw=t, rotor_speed_0=t)
+    assert list(flight.columns) == ["rate_x", "rate_y", "rate_z", "yaw", "rotor_speed_0", "rotor_speed_1"]
     with pytest.raises(ValueError, match="read-only"):
         flight["rate_x"][0] = 1.0
     with pytest.raises(TypeError):
         flight.columns["rate_x"] = t  # type: ignore[index]
+
+
+def test_a_quantity_is_one_array_however_the_flight_is_made() -> None:
+    t, speeds = np.arange(3.0), np.arange(12.0).reshape(3, 4)
+    by_array = Flight(t, {"rotor_speed": speeds, "yaw": t[:, None]}, SOMEWHERE)
+    by_columns = _flight(t, yaw=t, **{f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(4)})
+    for flight in (by_array, by_columns):
+        np.testing.assert_array_equal(flight["rotor_speed"], speeds)
+        np.testing.assert_array_equal(flight["rotor_speed_2"], speeds[:, 2])
+        np.testing.assert_array_equal(flight["yaw"], t)
+        assert flight["rotor_speed"] is flight.values["rotor_speed"]  # stored so: nothing is stacked at each use
+        assert np.shares_memory(flight.rows(1, 3)["rotor_speed"], flight.values["rotor_speed"])
+        assert np.shares_memory(flight.columns["rotor_speed_2"], flight.values["rotor_speed"])
+    assert by_array.quantities == by_columns.quantities == ("yaw", "rotor_speed")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"position_x": np.zeros(3)}, "position_y, position_z missing beside position_x"),
+        ({"rotor_speed_0": np.zeros(3), "rotor_speed_2": np.zeros(3)}, "rotor_speed_1 missing"),
+        ({"rate": np.zeros((3, 2))}, r"rate has the shape \(3, 2\)"),
+        ({"rotor_speed": np.zeros((3, 17))}, r"rotor_speed has the shape \(3, 17\)"),
+        ({"rate": np.zeros((2, 3))}, "as long as its time"),
+        ({"rate": np.zeros(3)}, "rate are no columns"),
+    ],
+)
+def test_a_quantity_is_there_whole_or_not_at_all(values: dict[str, Floats], message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        Flight(np.arange(3.0), values, SOMEWHERE)
 
 
 def test_unknown_columns_are_refused_by_name() -> None:
@@ -82,7 +112,7 @@ def test_unknown_columns_are_refused_by_name() -> None:
     with pytest.raises(RequestError, match="altitude"):
         _flight(np.arange(3.0)).unit("altitude")
     with pytest.raises(DataError, match="has no rate"):
-        _flight(np.arange(3.0), position_x=np.arange(3.0))["rate"]
+        _flight(np.arange(3.0), yaw=np.arange(3.0))["rate"]
 
 
 def test_rows_that_do_not_follow_each_other_by_one_period_are_refused() -> None:
@@ -90,8 +120,8 @@ def test_rows_that_do_not_follow_each_other_by_one_period_are_refused() -> None:
     t = np.arange(1000) / 100.0
     for later in (t + (t >= 5.0), np.where(t < 5.0, t, t - 1.0), np.where(t == 5.0, np.nan, t)):
         with pytest.raises(DataError, match=r"follow each other by one period, here 0\.01 s, but .* Put rows of NaN"):
-            _flight(later, position_x=t)
-    assert len(_flight(t + 1e-4 * np.sin(t), position_x=t)) == 1000
+            _flight(later, yaw=t)
+    assert len(_flight(t + 1e-4 * np.sin(t), yaw=t)) == 1000
 
 
 def test_every_known_column_belongs_to_its_quantity() -> None:
@@ -129,7 +159,7 @@ def test_a_segment_written_and_read_keeps_its_time(tmp_path: Path) -> None:
 
 
 def test_an_empty_or_torn_table_has_no_segments() -> None:
-    assert _flight(np.empty(0), position_x=np.empty(0)).segments() == ()
+    assert _flight(np.empty(0), yaw=np.empty(0)).segments() == ()
     nothing = np.full(100, np.nan)
     flight = _flight(np.arange(100) / 100, position_x=nothing, position_y=nothing, position_z=nothing)
     assert flight.segments() == ()
@@ -137,7 +167,7 @@ def test_an_empty_or_torn_table_has_no_segments() -> None:
 
 
 def test_a_file_in_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
-    flight = _flight(np.arange(3.0), position_x=np.arange(3.0))
+    flight = _flight(np.arange(3.0), yaw=np.arange(3.0))
     with pytest.raises(RequestError, match="cannot write"):
         flight.to_csv(tmp_path / "nowhere" / "flight.csv")
 

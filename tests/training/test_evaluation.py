@@ -167,7 +167,7 @@ def test_flights_without_the_motors_that_a_model_takes_are_refused(
 ) -> None:
     def without_commands(recording: LoggedFlight) -> LoggedFlight:
         segments = tuple(
-            dataclasses.replace(s, columns={n: c for n, c in s.columns.items() if not n.startswith("rotor_command")})
+            dataclasses.replace(s, values={n: c for n, c in s.columns.items() if not n.startswith("rotor_command")})
             for s in recording.segments
         )
         return dataclasses.replace(recording, segments=segments)

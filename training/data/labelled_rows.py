@@ -144,8 +144,7 @@ def _segment(
     config: ModelConfig, vehicle: Vehicle, segment: Flight, nominal: RowModel, base: RowModel, place: int
 ) -> dict[str, Floats]:
     speeds, _ = rotor_speeds(segment, vehicle, prefer=config.motors)
-    rotors = {f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(vehicle.rotors.count)}
-    with_speeds = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
+    with_speeds = Flight(segment.time, {**segment.values, "rotor_speed": speeds}, segment.provenance)
     rows = _samples(config, with_speeds)
     attitude = rows.state[:, ATTITUDE]
     nominal_body = nominal(rows.state, rows.rotor_speed).body

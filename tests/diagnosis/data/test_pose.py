@@ -48,7 +48,7 @@ def test_what_log_or_user_tell_is_believed(declared):
 def test_what_cannot_be_compared_is_unknown():
     flight = table(integrated)
     without = {name: values for name, values in flight.columns.items() if not name.startswith("specific_force")}
-    assert pose_source(dataclasses.replace(flight, columns=without)) == "unknown"
+    assert pose_source(dataclasses.replace(flight, values=without)) == "unknown"
     slow = {"velocity": Origin("velocity_x, ..., velocity_z", 20.0, 800)}
     assert pose_source(dataclasses.replace(flight, origins=slow)) == "unknown"
     assert pose_source(flight.rows(0, 500)) == "unknown"

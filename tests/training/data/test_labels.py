@@ -72,4 +72,4 @@ def test_the_papers_own_table_is_filtered_both_ways(flight: Flight) -> None:
 def test_a_flight_without_rotor_speeds_is_named(flight: Flight) -> None:
     columns = {name: values for name, values in flight.columns.items() if not name.startswith("rotor_speed")}
     with pytest.raises(DataError, match="has no rotor_speed"):
-        labels.samples(replace(flight, columns=columns))
+        labels.samples(replace(flight, values=columns))
