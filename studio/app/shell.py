@@ -212,7 +212,7 @@ def _look(studio: Studio, path: str, last: Any) -> tuple[Any, Any]:
         label, effect = LABELS.get(page_of(job.step), (job.step, ""))[0], job.step.partition(":")[2]
         seconds = time.monotonic() - job.began
         text = f"{label}{f' ({effect})' if effect else ''}: {job.stage} — {100 * job.share:.0f} %, {seconds:.0f} s"
-        progress = dmc.Progress(value=100 * job.share, striped=True, animated=True, size="md", **{"aria-label": text})
+        progress = dmc.Progress(value=100 * job.share, size="md", **{"aria-label": text})
         stop = dmc.Button(
             "Cancel", id={"act": "cancel", "step": "", "value": ""}, size="compact-sm", variant="default", n_clicks=0
         )
