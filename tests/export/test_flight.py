@@ -93,7 +93,7 @@ def in_wind(bundle: Bundle, mode: Mode) -> tuple[FlownReference, Controller, Con
 
 
 @pytest.mark.long("compiles a network, and flies it twice")
-@pytest.mark.parametrize("kind", ["bundle", "grey_box"])
+@pytest.mark.parametrize("kind", [pytest.param("bundle", marks=pytest.mark.slow), "grey_box"])
 def test_a_learned_model_follows_the_wind_and_so_does_the_fallback_beside_it(
     request: pytest.FixtureRequest, kind: str
 ) -> None:

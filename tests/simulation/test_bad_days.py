@@ -43,7 +43,13 @@ def fly(
     )
 
 
-@pytest.mark.parametrize(("at", "after"), [(0.0, "touchdown"), (0.3, "touchdown"), (4.0, "takeoff")])
+def nightly(*values: object) -> object:
+    """Parameters of a flight that `make test-all` flies."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+
+@pytest.mark.parametrize(("at", "after"), [(0.0, "touchdown"), nightly(0.3, "touchdown"), (4.0, "takeoff")])
 def test_an_estimate_that_freezes(controllers: Controllers, at: float, after: str) -> None:
     flight = fly(controllers, Fault("estimate_freeze", at, after))  # type: ignore[arg-type]
     assert np.isfinite(flight.disarmed), flight.outcome
@@ -67,9 +73,9 @@ def test_an_estimator_that_does_not_vouch_for_its_estimate_any_more(controllers:
     assert flight.tilt_after_contact < STEEPEST
 
 
-@pytest.mark.parametrize("shift", [1.0, -1.0])
+@pytest.mark.parametrize("shift", [nightly(1.0), -1.0])
 @pytest.mark.parametrize("phase", [Phase.DESCEND, Phase.TOUCHDOWN])
-@pytest.mark.parametrize("reported", [True, False])
+@pytest.mark.parametrize("reported", [nightly(True), False])
 def test_a_height_that_jumps_by_a_metre_while_landing(
     controllers: Controllers, shift: float, phase: Phase, reported: bool
 ) -> None:
@@ -91,21 +97,21 @@ def test_a_height_that_jumps_by_a_metre_while_landing(
     assert flight.tilt_after_contact < STEEPEST
 
 
-@pytest.mark.parametrize("kind", ["sih", "legs"])
+@pytest.mark.parametrize("kind", [nightly("sih"), "legs"])
 def test_take_off_from_a_slope_of_15_degrees(controllers: Controllers, kind: str) -> None:
     flight = fly(controllers, ground=Ground(kind=kind, slope=radians(15.0)))  # type: ignore[arg-type]
     assert flight.landed, flight.outcome
     assert flight.tilt.max() < radians(45.0)
 
 
-@pytest.mark.parametrize("speed", [(0.5, 0.0), (0.0, 1.0)])
+@pytest.mark.parametrize("speed", [nightly((0.5, 0.0)), (0.0, 1.0)])
 def test_take_off_from_a_deck_that_moves_sideways(controllers: Controllers, speed: tuple[float, float]) -> None:
     flight = fly(controllers, ground=Ground(kind="legs", speed=speed, heave=0.1))
     assert np.isfinite(flight.disarmed) or Phase.CLIMB not in flight.phases, flight.outcome
     assert flight.tilt.max() < radians(45.0)
 
 
-@pytest.mark.parametrize("rotor", [0, 3])
+@pytest.mark.parametrize("rotor", [0, nightly(3)])
 @pytest.mark.parametrize("kind", ["sih", "legs"])
 def test_a_missing_propeller(controllers: Controllers, rotor: int, kind: str) -> None:
     lost = f"weak_rotor:rotor={rotor},loss=0.9,torque_loss=0.9"

@@ -73,7 +73,7 @@ def assert_same(one: Member, other: Member) -> None:
         ("res_tcn", {}, {"rollout": 3, "input_noise": 0.01}),
     ],
 )
-@pytest.mark.parametrize("step", [20, 50])
+@pytest.mark.parametrize("step", [20, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_killed_training_continues_bit_for_bit(
     plan_for: MakePlan, tmp_path: Path, kind: str, config: dict[str, object], recipe: dict[str, object], step: int
 ) -> None:
