@@ -48,7 +48,6 @@ def nightly(*values: object) -> object:
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
-
 @pytest.mark.parametrize(("at", "after"), [(0.0, "touchdown"), nightly(0.3, "touchdown"), (4.0, "takeoff")])
 def test_an_estimate_that_freezes(controllers: Controllers, at: float, after: str) -> None:
     flight = fly(controllers, Fault("estimate_freeze", at, after))  # type: ignore[arg-type]
