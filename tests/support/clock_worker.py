@@ -55,7 +55,7 @@ def pytest_xdist_auto_num_workers() -> int:
     return min(len(os.sched_getaffinity(0)) + 1, 4)
 
 
-def pytest_configure() -> None:
-    """Put a worker that computes behind the one that keeps the clock."""
-    if os.environ.get("PYTEST_XDIST_WORKER", FIRST) != FIRST:
+def pytest_configure(config: pytest.Config) -> None:
+    """Put a worker that computes behind the one that keeps the clock; a run inside of a test is no worker of ours."""
+    if getattr(config, "workerinput", {}).get("workerid", FIRST) != FIRST:
         os.nice(BEHIND)

@@ -56,7 +56,8 @@ def test_tests_against_the_clock_are_the_first_workers_and_come_first(pytester: 
 def test_the_others_compute_behind_it(pytester: pytest.Pytester, notes: Path) -> None:
     pytester.runpytest_subprocess("-n", "3").assert_outcomes(passed=18)
     values = {worker: nice for _, worker, _, nice in noted(notes)}
-    assert {worker: nice - os.nice(0) for worker, nice in values.items()} == {FIRST: 0, "gw1": BEHIND, "gw2": BEHIND}
+    behind = min(os.nice(0) + BEHIND, 19)  # this test may itself run behind
+    assert values == {FIRST: os.nice(0), "gw1": behind, "gw2": behind}
 
 
 def test_one_worker_does_all(pytester: pytest.Pytester, notes: Path) -> None:
