@@ -9,7 +9,7 @@ from dynamics.autopilot_settings import CUTOFFS, GAINS, AutopilotSettings
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime.flight.thrust import THRUST_CURVE
-from runtime.link.parameters import read_parameter
+from runtime.link.parameters import read_parameter, read_parameters
 from runtime.link.vehicle_link import VehicleLink
 from runtime.record.recorder import Recorder
 from runtime.record.records import ParameterRecord
@@ -45,7 +45,7 @@ def read_rate_gains(
 
     Raises VehicleError for gains that hold no body rate.
     """
-    values = _read_until_silence(link, (*GAINS, *CUTOFFS))
+    values = _read(link, (*GAINS, *CUTOFFS))
     try:
         gains = AutopilotSettings.from_parameters(values)
     except RequestError as error:
@@ -66,16 +66,10 @@ def recorded_rate_gains(records: Iterable[ParameterRecord]) -> AutopilotSettings
     return AutopilotSettings.from_parameters({record.name: record.value for record in records})
 
 
-def _read_until_silence(link: VehicleLink, names: Iterable[str]) -> dict[str, float]:
-    """Values by name, without those that the vehicle does not have; a vehicle that does not answer is left alone."""
-    values: dict[str, float] = {}
-    for name in names:
-        parameter = read_parameter(link, name, timeout=0.3, attempts=3)
-        if parameter.value is not None:
-            values[name] = float(parameter.value)
-        elif parameter.error == "no_answer" and not values:
-            break
-    return values
+def _read(link: VehicleLink, names: Iterable[str]) -> dict[str, float]:
+    """Values by name, without those that the vehicle does not have."""
+    parameters = read_parameters(link, names, timeout=0.3, attempts=3)
+    return {name: float(each.value) for name, each in parameters.items() if each.value is not None}
 
 
 def _differ(one: AutopilotSettings, other: AutopilotSettings) -> bool:

@@ -17,7 +17,7 @@ from runtime.link import modes
 from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link.link import Link
 from runtime.link.telemetry import VehicleStatus, enum_name
-from runtime.link.vehicle_link import VehicleLink
+from runtime.link.vehicle_link import ATTEMPTS, NO_ANSWER, VehicleLink
 
 _FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: regardless of checks, and of being in the air
 _RESEND_PERIOD = 0.5  # s without an answer
@@ -55,7 +55,9 @@ def acknowledgement(link: VehicleLink, message: Message, command: int) -> str | 
     return enum_name("MAV_RESULT", message.result, "MAV_RESULT_")
 
 
-def send_command(link: VehicleLink, command: int, *parameters: float, timeout: float = 0.5, attempts: int = 4) -> str:
+def send_command(
+    link: VehicleLink, command: int, *parameters: float, timeout: float = 0.5, attempts: int = ATTEMPTS
+) -> str:
     """Send a command until it is acknowledged. Returns the result's name, or no_answer.
 
     For modes and arming use set_mode and set_armed: a first acknowledgement may be wrong there.
@@ -68,11 +70,13 @@ def send_command(link: VehicleLink, command: int, *parameters: float, timeout: f
         result = acknowledgement(link, message, command)
         return None if result == "in_progress" else result
 
-    return link.exchange(request, read, timeout=timeout, attempts=attempts) or "no_answer"
+    return link.exchange(request, read, timeout=timeout, attempts=attempts) or NO_ANSWER
 
 
 def request_rates(link: VehicleLink, rates: Mapping[str, float]) -> dict[str, str]:
     """Request message rates. Returns the results' names; the rates that arrive are in link.peer.rates.
+
+    After one without an answer the others are sent once each: the vehicle may act without answering.
 
     rates: message name to Hz, 0 for the vehicle's default.
     Raises RequestError for a message that MAVLink does not have.
@@ -81,10 +85,12 @@ def request_rates(link: VehicleLink, rates: Mapping[str, float]) -> dict[str, st
     if unknown:
         raise RequestError(f"No MAVLink message is called {', '.join(unknown)}. Give names such as ODOMETRY.")
     interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-    return {
-        name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else 0)
-        for name, rate in rates.items()
-    }
+    results: dict[str, str] = {}
+    for name, rate in rates.items():
+        period = round(1e6 / rate) if rate > 0 else 0  # us
+        attempts = 1 if NO_ANSWER in results.values() else ATTEMPTS
+        results[name] = send_command(link, interval, MESSAGE_IDS[name], period, attempts=attempts)
+    return results
 
 
 def set_mode(link: Link, mode: str, timeout: float = 3.0) -> Confirmation:

@@ -28,6 +28,7 @@ from runtime.link.silence import explain_silence
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
 from runtime.link.transport import Received, Transport, TransportLostError, open_transport
+from runtime.link.vehicle_link import ATTEMPTS
 from runtime.link.vehicle_source import Address, VehicleSource
 
 Direction = Literal["in", "out"]
@@ -127,7 +128,7 @@ class Link:
         self._text_identities = itertools.count(1)
         self._next_heartbeat = self._next_timesync = self._next_other = float("-inf")
         self._fixes_at: float | None = None
-        self._silent = self._signing_failed = self._unanswered = False
+        self._silent = self._signing_failed = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
@@ -296,24 +297,21 @@ class Link:
         read: Callable[[Message], Answer | None],
         *,
         timeout: float = 0.5,
-        attempts: int = 4,
+        attempts: int = ATTEMPTS,
     ) -> Answer | None:
         """The first answer to a request that is repeated; None after all attempts.
 
         request: attempt number to message.
         read: message of the vehicle to answer, None if it is none.
         timeout: s for each attempt.
-        attempts: of a vehicle that answered nothing to the request before, a single one, or a list of requests would
-            take minutes where none is answered, as by an autopilot that accepts signed ones alone.
         """
         with self.listening(read) as answers:
-            for attempt in range(1 if self._unanswered else attempts):
+            for attempt in range(attempts):
                 self.send(request(attempt))
-                with contextlib.suppress(queue.Empty):
-                    answer = answers.get(timeout=timeout)
-                    self._unanswered = False
-                    return answer
-        self._unanswered = True
+                try:
+                    return answers.get(timeout=timeout)
+                except queue.Empty:
+                    continue
         return None
 
     # --- the thread

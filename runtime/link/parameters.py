@@ -10,7 +10,7 @@ import msgspec
 
 from runtime.link.dialect import Message, mavlink
 from runtime.link.telemetry import enum_name
-from runtime.link.vehicle_link import VehicleLink
+from runtime.link.vehicle_link import ATTEMPTS, NO_ANSWER, VehicleLink
 
 _FORMATS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
@@ -54,7 +54,7 @@ def encode_value(value: float, kind: int) -> float:
     return float(struct.unpack("<f", data)[0])
 
 
-def read_parameter(link: VehicleLink, name: str, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
+def read_parameter(link: VehicleLink, name: str, *, timeout: float = 0.5, attempts: int = ATTEMPTS) -> Parameter:
     """Read a parameter; its error is no_answer if the vehicle does not answer."""
 
     def request(attempt: int) -> Message:
@@ -62,15 +62,25 @@ def read_parameter(link: VehicleLink, name: str, *, timeout: float = 0.5, attemp
         return mavlink.MAVLink_param_request_read_message(status.system, status.component, name.encode(), -1)
 
     answer = link.exchange(request, lambda message: _read(message, name), timeout=timeout, attempts=attempts)
-    return answer or Parameter(name, None, error="no_answer")
+    return answer or Parameter(name, None, error=NO_ANSWER)
 
 
-def read_parameters(link: VehicleLink, names: Iterable[str]) -> dict[str, Parameter]:
-    """Read parameters one after the other."""
-    return {name: read_parameter(link, name) for name in names}
+def read_parameters(
+    link: VehicleLink, names: Iterable[str], *, timeout: float = 0.5, attempts: int = ATTEMPTS
+) -> dict[str, Parameter]:
+    """Read parameters one after the other. A vehicle that does not answer the first is not asked for the others."""
+    values: dict[str, Parameter] = {}
+    for name in names:
+        if values and next(iter(values.values())).error == NO_ANSWER:
+            values[name] = Parameter(name, None, error=NO_ANSWER)
+        else:
+            values[name] = read_parameter(link, name, timeout=timeout, attempts=attempts)
+    return values
 
 
-def set_parameter(link: VehicleLink, name: str, value: float, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
+def set_parameter(
+    link: VehicleLink, name: str, value: float, *, timeout: float = 0.5, attempts: int = ATTEMPTS
+) -> Parameter:
     """Set a parameter in the vehicle's own type for it. Returns what the vehicle reports then.
 
     Its error is not_taken if that is another value.
@@ -86,7 +96,7 @@ def set_parameter(link: VehicleLink, name: str, value: float, *, timeout: float 
 
     answer = link.exchange(request, lambda message: _read(message, name), timeout=timeout, attempts=attempts)
     if answer is None or answer.value is None:
-        return answer or Parameter(name, None, error="no_answer")
+        return answer or Parameter(name, None, error=NO_ANSWER)
     taken = isclose(answer.value, value, rel_tol=1e-6, abs_tol=1e-9)
     return answer if taken else msgspec.structs.replace(answer, error="not_taken")
 

@@ -11,6 +11,8 @@ from runtime.link.peer import Peer
 from runtime.link.telemetry import VehicleStatus
 
 Answer = TypeVar("Answer")
+ATTEMPTS = 4  # of a request
+NO_ANSWER = "no_answer"  # result of a request that no attempt brought an answer to
 
 
 class VehicleLink(Protocol):
@@ -55,6 +57,6 @@ class VehicleLink(Protocol):
         read: Callable[[Message], Answer | None],
         *,
         timeout: float = 0.5,
-        attempts: int = 4,
+        attempts: int = ATTEMPTS,
     ) -> Answer | None:
         """The first answer to a request that is repeated; None after all attempts."""
