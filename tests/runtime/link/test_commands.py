@@ -96,6 +96,13 @@ def test_a_silent_vehicle_gives_no_answer(link: Link, vehicle: FakeVehicle) -> N
     assert "did not answer" in result.reason
 
 
+def test_streams_are_requested_once_each_after_one_without_an_answer(link: Link, vehicle: FakeVehicle) -> None:
+    vehicle.lose_next = 100
+    rates = {"ODOMETRY": 100.0, "HIGHRES_IMU": 100.0, "SYS_STATUS": 1.0}
+    assert commands.request_rates(link, rates) == dict.fromkeys(rates, "no_answer")
+    assert [m.param1 for m in vehicle.received if m.get_type() == "COMMAND_LONG"] == [331.0] * 4 + [105.0, 1.0]
+
+
 def test_acknowledgements_to_others_are_not_ours(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.lose_next = 1
     with link.listening(lambda message: message if message.get_type() == "COMMAND_ACK" else None) as received:

@@ -37,14 +37,23 @@ def _statuses(opened: OpenCase) -> dict[str, str]:
 
 
 @pytest.mark.long("two diagnoses and two flights")
-def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, short_logs: list[Path]) -> None:
+@pytest.mark.parametrize(
+    ("logs", "vehicle", "planted"),
+    [
+        pytest.param("short_logs", "arpl_250g", PLANTED, id="short flights"),
+        pytest.param("ulogs", "px4_sih", 2.0, id="real PX4", marks=pytest.mark.slow),
+    ],
+)
+def test_the_path_unlocks_step_by_step_and_the_error_falls(
+    opened: OpenCase, logs: str, vehicle: str, planted: float, request: pytest.FixtureRequest
+) -> None:
     locked = dict.fromkeys(PAGES[1:], "locked")
     assert _statuses(opened) == {"log": "open", **locked}
-    opened.case.add_logs(short_logs)
+    opened.case.add_logs(request.getfixturevalue(logs))
     assert opened.status("check") == "open"
     _do(opened, "check")
     assert opened.lock_reason("compare") == "choose a vehicle first."
-    opened.case.set_vehicle("arpl_250g")
+    opened.case.set_vehicle(vehicle)
     opened.start_if_open("compare")
     opened.wait(TIMEOUT)
     assert _statuses(opened) == {
@@ -69,7 +78,7 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, sho
     evidence = opened.result(Evidence, "explain:linear_drag")
     assert evidence is not None
     slider = evidence.sliders[0]
-    assert slider.values[slider.best] == pytest.approx(PLANTED, rel=0.05)
+    assert slider.values[slider.best] == pytest.approx(planted, rel=0.05)  # N s/m
     errors = [sum(value for value in row if value is not None) for row in slider.rms]
     assert np.argmin(errors) in (slider.best - 1, slider.best, slider.best + 1)
     assert evidence.share["mocap"] > 0.8
