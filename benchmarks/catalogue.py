@@ -53,6 +53,18 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("runtime", "sitl_mock"),
             ("--cases", "1", *NOT_KEPT),
         ),
+        "nothing_hidden": Measurement(
+            "benchmarks.adaptation.nothing_hidden:nothing_hidden",
+            ("nothing_hidden",),
+            FLIGHT,
+            ("--cases", "2", *NOT_KEPT),
+        ),
+        "witness": Measurement(
+            "benchmarks.adaptation.witness:witness",
+            ("witness",),
+            ("runtime/control", "runtime/flight"),
+            ("--cases", "1", *NOT_KEPT),
+        ),
         "estimates": Measurement(
             "benchmarks.adaptation.estimates:estimates",
             ("flight_estimates",),
@@ -361,10 +373,8 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
     },
 }
 SCRIPTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # that still have a command of their own
-    "nothing_hidden": (("nothing_hidden",), FLIGHT),
     "px4_estimate": (("px4_estimate",), ("sitl_mock/vehicle",)),
     "verdict": (("verdict",), DIAGNOSIS),
-    "witness": (("witness",), ("runtime/control", "runtime/flight")),
 }
 
 

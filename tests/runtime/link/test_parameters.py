@@ -76,8 +76,8 @@ def test_a_vehicle_that_does_not_answer_is_not_asked_for_every_name(link: Link, 
     values = parameters.read_parameters(link, names, timeout=0.1)
     assert {value.error for value in values.values()} == {"no_answer"}
     assert list(values) == names
-    asked = [message.param_id for message in vehicle.received if message.get_type() == "PARAM_REQUEST_READ"]
-    assert asked == ["THR_MDL_FAC"] * 4
+    requests = [message.param_id for message in vehicle.received if message.get_type() == "PARAM_REQUEST_READ"]
+    assert requests == ["THR_MDL_FAC"] * 4
 
 
 def test_a_value_is_set_in_the_vehicle_s_type(link: Link, vehicle: FakeVehicle) -> None:

@@ -4,25 +4,21 @@ Eight manoeuvres by five pairs of vehicle and estimator in turn, a new seed each
 file's model and by one that follows the disturbance, wind and drags. Finished flights are kept, so that a run that was
 stopped resumes.
 
-    python -m benchmarks.nothing_hidden --flights 500 --jobs 1 --table
+    python -m benchmarks adaptation nothing_hidden --flights 500
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.adaptation import MANOEUVRES
-from benchmarks.provenance import write_result
+from benchmarks.measurement import Page, measured, options_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers
@@ -56,7 +52,14 @@ def flown(case: tuple[int, int, str]) -> dict[str, Any]:
     controller = Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, adaptation=settings))
     reference = named_reference(name, vehicle, duration=SECONDS)
     seed = first + number
-    result = {"seed": seed, "number": number, "mode": mode, "reference": name, "vehicle": place, "estimator": estimator}
+    result = {
+        "key": f"{seed} {mode}",
+        "number": number,
+        "mode": mode,
+        "reference": name,
+        "vehicle": place,
+        "estimator": estimator,
+    }
     if estimator == "mocap":
         flight = fly_reference(vehicle, reference, seed=seed, controller=controller)
         return {**result, "rmse": flight.position_rmse, "aborted": flight.aborted, "events": dict(flight.events)}
@@ -117,32 +120,19 @@ def _row(name: str, some: Sequence[Mapping[str, Any]], usual: Mapping[int, Mappi
     )
 
 
-def main() -> None:
-    """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=500)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/nothing_hidden.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/nothing_hidden.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {(r["seed"], r["mode"]): r for r in map(json.loads, lines)}
+def nothing_hidden(words: Sequence[str]) -> Page:
+    """Cost of following where nothing is hidden. Writes results/nothing_hidden.md.
+
+    python -m benchmarks adaptation nothing_hidden --flights 500
+    """
+    counts = {"flights": 500, "first_seed": FIRST_SEED}
+    options = options_of(__doc__, resumes="nothing_hidden", jobs=1, **counts).parse_args(words)
     first = options.first_seed
     cases = [(first, number, mode) for number in range(options.flights) for mode in MODES]
-    todo = [case for case in cases if (first + case[1], case[2]) not in done]
-    for _, result in parallel_map(flown, todo, jobs=options.jobs):
-        done[result["seed"], result["mode"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['seed']} {result['mode']}: {100 * result['rmse']:.2f} cm {result['aborted']}", flush=True)
-    results = [done[first + case[1], case[2]] for case in cases if (first + case[1], case[2]) in done]
-    if options.table:
-        write_result("nothing_hidden", "What following costs where nothing is hidden", table(results, first))
-    else:
-        print(table(results, first))
+    results = measured(flown, cases, options, spoken, key_of=lambda case: f"{first + case[1]} {case[2]}")
+    return Page("nothing_hidden", "What following costs where nothing is hidden", table(results, first))
 
 
-if __name__ == "__main__":
-    main()
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']}"

@@ -1,9 +1,9 @@
 """A vehicle that is not ours, flown by the runtime's own logic: tracking and named wind. Writes results/witness.md.
 
-`benchmarks.witness_vehicle` shares no formula with this project. Settings were chosen on the mock's vehicle, and none
-is changed here. Finished flights are kept, so that a run that was stopped resumes.
+`witness_vehicle` shares no formula with this project. Settings were chosen on the mock's vehicle, and none is changed
+here. Finished flights are kept, so that a run that was stopped resumes.
 
-    python -m benchmarks.witness --seeds 3 --table
+    python -m benchmarks adaptation witness --seeds 3
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.resumable import measured, options_of, publish
-from benchmarks.witness_vehicle import FULL_THRUST, GRAVITY, MASS, STEP, WitnessVehicle
+from benchmarks.adaptation.witness_vehicle import FULL_THRUST, GRAVITY, MASS, STEP, WitnessVehicle
+from benchmarks.measurement import Page, measured, options_of
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.references import named_reference
 from dynamics.state import POSITION
@@ -184,9 +184,12 @@ def _cell(values: Sequence[float]) -> str:
     return f"{float(np.median(values)):.1f} ({max(values):.1f})" if values else ""
 
 
-def main() -> None:
-    """Fly what has not been flown, and write the table."""
-    options = options_of(__doc__, "witness", seeds=3).parse_args()
+def witness(words: Sequence[str]) -> Page:
+    """Tracking of a vehicle that shares no formula with this project. Writes results/witness.md.
+
+    python -m benchmarks adaptation witness --seeds 3
+    """
+    options = options_of(__doc__, resumes="witness", jobs=1, seeds=3).parse_args(words)
     cases = [
         Case(air, reference, mode, seed)
         for seed in range(options.seeds)
@@ -195,13 +198,9 @@ def main() -> None:
         for mode in MODES
     ]
     results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
-    publish("witness", "A vehicle that is not ours", table(results), options)
+    return Page("witness", "A vehicle that is not ours", table(results))
 
 
 def spoken(result: Mapping[str, Any]) -> str:
     """A line about a flight."""
     return f"{result['key']}: {100 * result['rmse']:.2f} cm {result['ended']} {result['events']}"
-
-
-if __name__ == "__main__":
-    main()
