@@ -74,7 +74,7 @@ class HeldOut:
         return self._workspace.get("row errors", key_of(vehicle), lambda: self._rows_and_pose(vehicle))
 
     def _window_errors(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
-        return self._workspace.get("window errors", key_of(vehicle), lambda: self._windows_and_pose(vehicle))
+        return self._workspace.get("windows", key_of(vehicle), lambda: self._windows_and_pose(vehicle))
 
     def _rows_and_pose(self, vehicle: Vehicle) -> ModelErrors:
         """Residuals, and what errors of the pose's velocity make of them."""
@@ -130,7 +130,7 @@ class HeldOut:
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
-        return self._workspace.get("windows", key_of(vehicle), lambda: self._simulated(vehicle, self.segments))
+        return {h: list(errors.rows) for h, errors in self._window_errors(vehicle).items()}
 
     def _simulated(self, vehicle: Vehicle, segments: Sequence[Segment]) -> dict[float, list[Floats]]:
         regression = self._regression
@@ -138,7 +138,7 @@ class HeldOut:
 
     def _windows_and_pose(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
         """Errors of windows, by horizon, and what errors of the pose's velocity make of them."""
-        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._perturbed]
+        windows, *drawn = (self._simulated(vehicle, segments) for segments in (self.segments, *self._perturbed))
         return {h: ModelErrors(own, [differences(draw[h], own) for draw in drawn]) for h, own in windows.items()}
 
     def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
