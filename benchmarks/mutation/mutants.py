@@ -42,18 +42,18 @@ def mutants(source: str) -> dict[Key, str]:
     begins = [0]
     for line in lines:
         begins.append(begins[-1] + len(line))
-    code, found, seen = source.encode(), dict[Key, str](), Counter[tuple[str, str, str, str]]()
-    for scope, node, replacement in _changes(ast.parse(source), ""):
+    code, mutated, number_of_equals = source.encode(), dict[Key, str](), Counter[tuple[str, str, str, str]]()
+    for scope, node, replacement in _replacements(ast.parse(source), ""):
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         start, stop = begins[node.lineno - 1] + node.col_offset, begins[node.end_lineno - 1] + node.end_col_offset
         place = scope, lines[node.lineno - 1].decode().strip(), ast.unparse(node), replacement
-        found[*place, seen[place]] = (code[:start] + replacement.encode() + code[stop:]).decode()
-        seen[place] += 1
-    return found
+        mutated[*place, number_of_equals[place]] = (code[:start] + replacement.encode() + code[stop:]).decode()
+        number_of_equals[place] += 1
+    return mutated
 
 
-def _changes(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
+def _replacements(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
     """(function, expression or statement, text in its place) of each mutant within a node."""
     if isinstance(node, ast.JoinedStr):  # in Python 3.11 its parts have no places
         return
@@ -66,7 +66,7 @@ def _changes(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.expr | ast.st
         if field not in UNCHANGED:
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST):
-                    yield from _changes(child, inner)
+                    yield from _replacements(child, inner)
 
 
 def _is_none(node: ast.expr) -> bool:

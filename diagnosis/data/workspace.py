@@ -20,16 +20,16 @@ class Workspace:
     def __init__(self) -> None:
         self._values: dict[str, dict[Hashable, Any]] = {}
 
-    def get(self, kind: str, key: Hashable, compute: Callable[[], Value], *, most: int = UNBOUNDED) -> Value:
-        """The value of a key, computed where it is not there. most: of the kind that are kept, the latest."""
+    def get(self, kind: str, key: Hashable, compute: Callable[[], Value], *, limit: int = UNBOUNDED) -> Value:
+        """The value of a key, computed where it is not there. limit: number of the kind that is held, the latest."""
         values = self._values.setdefault(kind, {})
         if key not in values:
-            value = compute()
-            if len(values) >= most:
+            computed = compute()
+            if len(values) >= limit:
                 del values[next(iter(values))]
-            values[key] = value
-        found: Value = values[key]
-        return found
+            values[key] = computed
+        value: Value = values[key]
+        return value
 
 
 def key_of(content: msgspec.Struct) -> bytes:

@@ -142,7 +142,7 @@ class Predictor:
             "hidden states",
             self._hidden_key(segment, values, initial),
             lambda: self._hidden(segment, values, initial),
-            most=MAX_FOLLOWED,
+            limit=MAX_FOLLOWED,
         )
         return np.vstack([segment.smooth.T, hidden.T]).T
 
@@ -250,7 +250,7 @@ def _at_age(segment: Segment, age: float) -> Segment:
     """The segment with the rotors' speeds that were logged `age` s later."""
     if age == 0.0:
         return segment
-    return segment.workspace.get("at age", age, lambda: segment.with_rotors_later(age), most=MAX_MOVED)
+    return segment.workspace.get("at age", age, lambda: segment.with_rotors_later(age), limit=MAX_MOVED)
 
 
 class _Functions:

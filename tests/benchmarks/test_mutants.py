@@ -27,8 +27,8 @@ def share(parts: list[float], *, of: float = 2.0) -> float:
 
 
 def test_all_kinds_of_change_are_made() -> None:
-    changes = {(expression, becomes) for _, _, expression, becomes, _ in mutants(SOURCE)}
-    assert changes == {
+    replaced = {(expression, becomes) for _, _, expression, becomes, _ in mutants(SOURCE)}
+    assert replaced == {
         ("3", "(4)"),
         ("2.0", "(4.0)"),
         ("not parts and of <= 0 or LIMIT is None", "((not parts and of <= 0) and LIMIT is None)"),

@@ -33,10 +33,10 @@ def test_equal_keys_have_one_value() -> None:
 def test_the_oldest_value_goes() -> None:
     workspace = Workspace()
     for key in range(3):
-        workspace.get("number", key, object, most=2)
-    kept = workspace.get("number", 2, object, most=2)
-    assert workspace.get("number", 2, object, most=2) is kept
-    first = workspace.get("number", 0, lambda: "computed again", most=2)
+        workspace.get("number", key, object, limit=2)
+    latest = workspace.get("number", 2, object, limit=2)
+    assert workspace.get("number", 2, object, limit=2) is latest
+    first = workspace.get("number", 0, lambda: "computed again", limit=2)
     assert first == "computed again"
 
 
