@@ -10,6 +10,7 @@ import random
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -143,31 +144,33 @@ class Run:
     """Tests of mutants in all trees, as far as results are not kept already."""
 
     def __init__(self, trees: Mapping[str, Tree], results: Path) -> None:
-        self._trees, self._results, self._done = trees, results, set(finished(results))
-        self._limits: dict[tuple[str, str], int] = {}
+        self._trees, self._results, self._done = trees, results, finished(results)
 
     def follow(self, file: str, key: Key) -> None:
         """Run the tests of one mutant and keep which trees' tests killed it."""
         written = _written(self._trees, file, key)
         if written in self._done:
             return
-        codes = {}
-        for name, tree in self._trees.items():
-            limit, mutant = self._limit(name, file), mutants(tree.read(file))[key]
-            codes[name] = tree.run(file, limit, mutant)[0]
+        with ThreadPoolExecutor(len(self._trees)) as threads:
+            codes = dict(threads.map(lambda name: (name, self._exit_code(name, file, key)), self._trees))
         result = {"key": written, **{name: code != 0 for name, code in codes.items()}}
         keep(self._results, result, line=f"{file} {codes} {key[2]} -> {key[3]}")
 
-    def _limit(self, name: str, file: str) -> int:
-        """Seconds of the processor for a file's tests, from what they take without a mutant."""
-        if (name, file) not in self._limits:
-            tree = self._trees[name]
+    def _exit_code(self, name: str, file: str, key: Key) -> int:
+        tree = self._trees[name]
+        seconds = self._seconds_without_mutant(tree, file)
+        return tree.run(file, round(LIMIT + TIMES * seconds), mutants(tree.read(file))[key])[0]
+
+    def _seconds_without_mutant(self, tree: Tree, file: str) -> float:
+        """Seconds of the processor that a file's tests take."""
+        written = json.dumps([tree.commit, file])
+        if written not in self._done:
             code, seconds = tree.run(file, 100 * LIMIT)
             if code:
                 raise RequestError(f"{' '.join(tree.test_files(file))} fail in {tree.folder} (exit code {code}).")
-            self._limits[name, file] = round(LIMIT + TIMES * seconds)
-            print(f"{file} {name}: {seconds:.0f} s without a mutant", flush=True)
-        return self._limits[name, file]
+            self._done[written] = {"key": written, "seconds": seconds}
+            keep(self._results, self._done[written], line=f"{file} {tree.commit}: {seconds:.0f} s without a mutant")
+        return float(self._done[written]["seconds"])
 
 
 def _written(trees: Mapping[str, Tree], file: str, key: Key) -> str:
