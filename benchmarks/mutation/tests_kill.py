@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measurement import ROOT, Page, finished, keep, options_of
+from benchmarks.measurement import ROOT, Page, finished, keep, options_of, paragraph_of
 from benchmarks.mutation.mutants import Key, mutants
 from dynamics.errors import RequestError
 
@@ -213,11 +213,11 @@ def _page(drawn: Mapping[str, list[Key]], results: Mapping[str, Mapping[str, Any
 def tests_kill(words: Sequence[str]) -> Page:
     """Share of mutants that tests kill, before and after they were made quicker.
 
-    Mutants of files drawn from runtime/flight, dynamics and flights: one comparison, operator, constant or returned
+    Mutants of ten files drawn from runtime/flight, dynamics and flights: one comparison, operator, constant or returned
     value changed in each, drawn from those whose lines both commits have. Tests are the files that import the module
-    and lie in its room's folder, without those marked slow or realtime, by the same rule in both. A mutant whose tests
-    fail, or take several times the processor's time that they take without it, is killed. Each commit has its files in
-    a folder of its own under build/mutation.
+    and lie in its room's folder, without those marked slow or realtime, by the same rule in both; files with more than
+    two such test files are not drawn, for time. Whole flights and commands, which kill more, are not among them. A
+    mutant whose tests fail, or take several times the processor's time that they take without it, is killed.
 
         python -m benchmarks mutation tests_kill
     """
@@ -233,5 +233,5 @@ def tests_kill(words: Sequence[str]) -> Page:
     for mutants_of_files in itertools.zip_longest(*drawn.values()):  # a run that is cut off has some of each file
         for file, key in zip(drawn, mutants_of_files, strict=True):
             run.follow(file, key)
-    body = _page(drawn, finished(options.kept), trees)
+    body = paragraph_of(tests_kill.__doc__) + "\n\n" + _page(drawn, finished(options.kept), trees)
     return Page("mutants", "Mutants that the tests kill, before and after the tests were made quicker", body)
