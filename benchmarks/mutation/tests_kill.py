@@ -216,7 +216,7 @@ def tests_kill(words: Sequence[str]) -> Page:
     Mutants of ten files drawn from runtime/flight, dynamics and flights: one comparison, operator, constant or returned
     value changed in each, drawn from those whose lines both commits have. Tests are the files that import the module
     and lie in its room's folder, without those marked slow or realtime, by the same rule in both; files with more than
-    two such test files are not drawn, for time. Whole flights and commands, which kill more, are not among them. A
+    two such test files are not drawn, for time. Whole flights and commands are not among them. A
     mutant whose tests fail, or take several times the processor's time that they take without it, is killed.
 
         python -m benchmarks mutation tests_kill
