@@ -363,6 +363,16 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--cases", "6", *NOT_KEPT),
         ),
     },
+    "mutation": {
+        "tests_kill": Measurement(
+            "benchmarks.mutation.tests_kill:tests_kill",
+            ("mutants",),
+            ("tests/runtime/flight", "tests/dynamics", "tests/flights"),
+            ("--files", "1", "--cases", "1", *NOT_KEPT),
+            needs="the whole history of this repository",
+            in_study=False,
+        ),
+    },
     "diagnosis": {
         "speed": Measurement(
             "benchmarks.diagnosis:speed",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +20,7 @@ from diagnosis.data.filters import (
     simpson_inverse,
 )
 from diagnosis.data.pose import pose_source
+from diagnosis.data.workspace import Workspace
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -55,6 +57,7 @@ class Segment:
     filters: of both sides of the regression.
     carried_mass: mass over the vehicle file's body, with which rotor speeds were taken from commands.
     without_noise: the segment itself where noise was added to it; hidden states begin as there.
+    workspace: what was computed of it.
     """
 
     flight: str
@@ -74,6 +77,7 @@ class Segment:
     carried_mass: float = 1.0
     without_noise: Segment | None = None
     rotor_share: float | None = None
+    workspace: Workspace = field(default_factory=Workspace, init=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -110,6 +114,16 @@ class Segment:
     def filtered(self, values: Floats, *, products: bool = False) -> Floats:
         """(m, ...) the same at the rows of the regression. products: with Simpson's weights first."""
         return filtered_rows(values, self.rate, self.filters, products=products)
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Of its rows and of how they are read: equal for equal segments."""
+        scalars = (self.flight, self.start, self.rate, self.rotor_source, sorted(self.lacks), self.pose_source)
+        digest = hashlib.blake2b(repr((*scalars, self.filters, self.carried_mass, self.rotor_share)).encode())
+        logged = (self.position, self.velocity, self.attitude, self.gyro, self.specific_force)
+        for values in (*logged, self.rotor_speed, self.battery_ratio):
+            digest.update(b"none" if values is None else np.ascontiguousarray(values).tobytes())
+        return digest.digest()
 
     @cached_property
     def to_world(self) -> Floats:

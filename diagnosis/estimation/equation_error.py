@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.data.workspace import key_of
 from diagnosis.estimation.fit_equations import BlockRows, FitEquations, by_block, explained_by_biases, pooled
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, neutral_value, with_candidates
 from diagnosis.estimation.gauss_newton import Step, settle, settle_from_afar
@@ -49,21 +49,16 @@ def fit(
     if not (*candidates, *regression.nuisances):
         return Fit(base, {}, ())
     lacking = with_candidates(base, (*candidates, *regression.nuisances), {})
-    fits = _fits.setdefault(regression, [])
     hopeless = regression.thresholds.equation_error.hopeless * level
     limits = np.array([hopeless, goal])
-    for of, at, before, bounds_of_it, fitted in fits:  # rivals, trials and the last report ask for the same fits
-        is_whole = np.all((limits <= bounds_of_it) | (fitted.chi_square <= bounds_of_it))
-        if of == tuple(candidates) and at == start and before == lacking and is_whole:
+    which = tuple((c.columns, *c.values.values()) for c in candidates)
+    key = which, None if start is None else frozenset(start.items()), key_of(lacking)
+    fits = regression.workspace.get("fits", key, list[tuple[Floats, Fit]])
+    for limits_of_fit, fitted in fits:  # rivals, trials and the last report ask for the same fits
+        if np.all((limits <= limits_of_fit) | (fitted.chi_square <= limits_of_fit)):
             return fitted
-    fitted = _fitted(regression, candidates, base, start, hopeless=hopeless, goal=goal)
-    fits.append((tuple(candidates), start, lacking, limits, fitted))
-    return fitted
-
-
-_fits: WeakKeyDictionary[
-    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, Floats, Fit]]
-] = WeakKeyDictionary()
+    fits.append((limits, _fitted(regression, candidates, base, start, hopeless=hopeless, goal=goal)))
+    return fits[-1][1]
 
 
 def _fitted(
@@ -117,16 +112,12 @@ def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fi
     follows from it does, too. Chance is by the covariance of the change: the fit knows what the slower one knows
     (Hausman, 1978). vehicle: that the effects were added to.
     """
-    made = _beyond.setdefault(regression, [])
-    for of, before, result in made:  # each effect that is judged asks for the same fits again
-        if of is fitted and before == vehicle:
-            return result
-    result = _slower_where_moved(regression, fitted, vehicle)
-    made.append((fitted, vehicle, result))
-    return result
-
-
-_beyond: WeakKeyDictionary[Regression, list[tuple[Fit, Vehicle, Fit]]] = WeakKeyDictionary()
+    key = (
+        tuple(c.columns for c in fitted.candidates),
+        *map(key_of, (fitted.vehicle, vehicle)),
+        fitted.covariance.tobytes(),
+    )
+    return regression.workspace.get("beyond feedback", key, lambda: _slower_where_moved(regression, fitted, vehicle))
 
 
 def _slower_where_moved(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
@@ -455,12 +446,12 @@ def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tu
     Of effects those have one in which they are not linear: of some flights hardly more is known of them.
     """
     shared = regression.shared
-    places = {id(c): i for c in regression.nuisances for i in [shared.columns.index(c.columns[0])]}
+    places = {c.key: shared.columns.index(c.columns[0]) for c in regression.nuisances}
     information, expected = np.zeros(len(free)), np.zeros(len(free))
     for i, (candidate, name) in enumerate(free):
         parameter = next(p for p in candidate.effect.parameters if p.name == name)
-        if id(candidate) in places:
-            information[i], expected[i] = shared.information[places[id(candidate)]], parameter.neutral
+        if candidate.key in places:
+            information[i], expected[i] = shared.information[places[candidate.key]], parameter.neutral
         elif name in (*candidate.effect.refine, *candidate.effect.assumed):
             prior = parameter.prior(regression.vehicle)
             information[i], expected[i] = prior.std**-2, prior.mean

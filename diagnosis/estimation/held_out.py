@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.data.workspace import Workspace, key_of
 from diagnosis.estimation.evaluation import explained_motion, residual_floor, residuals_in, saturated_floor
 from diagnosis.estimation.paired_errors import (
     ErrorChange,
@@ -27,20 +27,6 @@ from dynamics.vehicle import Vehicle
 
 OPEN_LOOP = "open-loop"
 SEED = 2  # of the errors of velocity, the same for all vehicles
-Made = TypeVar("Made")
-
-
-class PerVehicleCache(Generic[Made]):
-    """Values that are computed once for each vehicle."""
-
-    def __init__(self, make: Callable[[Vehicle], Made]) -> None:
-        self._make, self._made = make, dict[int, tuple[Vehicle, Made]]()
-
-    def get(self, vehicle: Vehicle) -> Made:
-        """Return the value of a vehicle."""
-        if id(vehicle) not in self._made:
-            self._made[id(vehicle)] = (vehicle, self._make(vehicle))
-        return self._made[id(vehicle)][1]
 
 
 class HeldOut:
@@ -54,16 +40,13 @@ class HeldOut:
         self.segments = segments
         self._regression, self._limits = regression, regression.thresholds.relevance
         self._saturated_floor = saturated_floor(regression, segments)
-        self._rows = PerVehicleCache(lambda vehicle: residuals_in(self._regression, vehicle, self.segments))
-        self._windows = PerVehicleCache(lambda vehicle: self._simulated(vehicle, self.segments))
-        self._row_errors, self._window_errors = (
-            PerVehicleCache(self._rows_and_pose),
-            PerVehicleCache(self._windows_and_pose),
-        )
+        self._workspace = Workspace()
 
     def rows(self, vehicle: Vehicle) -> list[Floats]:
         """(m, 12) residuals of each segment."""
-        return self._rows.get(vehicle)
+        return self._workspace.get(
+            "rows", key_of(vehicle), lambda: residuals_in(self._regression, vehicle, self.segments)
+        )
 
     def shares_of_motion(self, without: Vehicle, vehicle: Vehicle) -> Floats:
         """(12,) RMS by which both vehicles' predictions differ over that of the motion which the latter explains."""
@@ -82,10 +65,16 @@ class HeldOut:
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
-        was, now = map(self._row_errors.get, (before, after))
+        was, now = map(self._row_errors, (before, after))
         if (skipped := self._skipped(before, after)) > 0:
             was, now = was.after(skipped), now.after(skipped)
         return channel_changes(was, now, floor, self._regression.rate, self._limits)
+
+    def _row_errors(self, vehicle: Vehicle) -> ModelErrors:
+        return self._workspace.get("row errors", key_of(vehicle), lambda: self._rows_and_pose(vehicle))
+
+    def _window_errors(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
+        return self._workspace.get("windows", key_of(vehicle), lambda: self._windows_and_pose(vehicle))
 
     def _rows_and_pose(self, vehicle: Vehicle) -> ModelErrors:
         """Residuals, and what errors of the pose's velocity make of them."""
@@ -115,7 +104,7 @@ class HeldOut:
         Without the position where an estimator makes the pose: after a second its error is that of the velocity at the
         start, to which the commands respond, so that a model whose rotors turn the vehicle too much comes closer.
         """
-        was, now = map(self._window_errors.get, (before, after))
+        was, now = map(self._window_errors, (before, after))
         if not was:
             return {}
         interval = self._regression.thresholds.prediction.start_interval
@@ -131,7 +120,7 @@ class HeldOut:
         quantities = list(self.open_loop_changes(before, after))
         if not quantities:
             return math.inf
-        was, now = map(self._window_errors.get, (before, after))
+        was, now = map(self._window_errors, (before, after))
         interval = self._regression.thresholds.prediction.start_interval
         return -open_loop_total(was, now, quantities, interval, self._limits).deviations
 
@@ -141,7 +130,7 @@ class HeldOut:
 
     def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
         """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
-        return self._windows.get(vehicle)
+        return {h: list(errors.rows) for h, errors in self._window_errors(vehicle).items()}
 
     def _simulated(self, vehicle: Vehicle, segments: Sequence[Segment]) -> dict[float, list[Floats]]:
         regression = self._regression
@@ -149,7 +138,7 @@ class HeldOut:
 
     def _windows_and_pose(self, vehicle: Vehicle) -> dict[float, ModelErrors]:
         """Errors of windows, by horizon, and what errors of the pose's velocity make of them."""
-        windows, drawn = self.open_loop(vehicle), [self._simulated(vehicle, one) for one in self._perturbed]
+        windows, *drawn = (self._simulated(vehicle, segments) for segments in (self.segments, *self._perturbed))
         return {h: ModelErrors(own, [differences(draw[h], own) for draw in drawn]) for h, own in windows.items()}
 
     def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:

@@ -13,7 +13,6 @@ sides pass one filter, and what is not differentiated also Simpson's weights.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -46,12 +45,7 @@ def present(segment: Segment) -> tuple[bool, ...]:
 
 def measured(segment: Segment) -> Floats:
     """(m, 12) measurements after the filter; zero where a kind is missing."""
-    if segment not in _measured:
-        _measured[segment] = _filtered_measurements(segment)
-    return _measured[segment]
-
-
-_measured: WeakKeyDictionary[Segment, Floats] = WeakKeyDictionary()
+    return segment.workspace.get("channels", None, lambda: _filtered_measurements(segment))
 
 
 def _filtered_measurements(segment: Segment) -> Floats:

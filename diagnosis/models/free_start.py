@@ -8,15 +8,15 @@ axis. An effect without strength is fitted with one of its own, so that its colu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy
 
 from diagnosis.data.segment import Segment
+from diagnosis.data.workspace import key_of
 from diagnosis.models import channels
 from diagnosis.models.prediction import Prediction
 from diagnosis.thresholds import PredictionThresholds
@@ -68,14 +68,10 @@ class FreeStart:
     def of(self, segment: Segment, values: Mapping[str, float]) -> Floats:
         """(k,) the free states at a segment's start. values: of the model's parameters, by its names."""
         segment = segment.without_noise or segment
-        starts = _starts.setdefault(segment, {})
-        case = self._case(values)
-        if case not in starts:
-            starts[case] = self._start(segment, values)
-        return starts[case]
+        return segment.workspace.get("start", self._case(values), lambda: self._start(segment, values))
 
-    def _case(self, values: Mapping[str, float]) -> tuple[str, bytes]:
-        return self.key, np.array([values[name] for name in self.model.named_values]).tobytes()
+    def _case(self, values: Mapping[str, float]) -> Hashable:
+        return self.key, key_of(self.thresholds), np.array([values[name] for name in self.model.named_values]).tobytes()
 
     def _start(self, segment: Segment, values: Mapping[str, float]) -> Floats:
         absent = self._absent(values)
@@ -110,11 +106,8 @@ class FreeStart:
             for name in values
             if name.startswith(f"{self.key}.")
         }
-        near, starts = {**values, **own}, _anchors.setdefault(segment, {})
-        case = self._case(near)
-        if case not in starts:
-            starts[case] = self._settled(segment, near)
-        return starts[case]
+        near = {**values, **own}
+        return segment.workspace.get("start nearby", self._case(near), lambda: self._settled(segment, near))
 
     def _refined(self, segment: Segment, values: Mapping[str, float], near: tuple[Floats, Floats]) -> Floats:
         """(k,) the free states, standard deviations from hover, from a start with parameters that are near.
@@ -129,20 +122,22 @@ class FreeStart:
 
     def _is_moving(self, segment: Segment, absent: Mapping[str, float]) -> bool:
         """Whether what the rotors leave of a segment's beginning is more than noise where such states are slow."""
-        if segment not in _moving:
-            limits = self.thresholds
-            part = _first(segment, limits.free_start_durations[-1])
-            thrust = self._thrust(part, absent)
-            left = channels.measured(part)[:, _channel(part)] - thrust
-            columns = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
-            left -= (columns @ np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]).reshape(left.shape)
-            frequency, power = scipy.signal.periodogram(left, part.decimated_rate, window="hann", axis=0)
-            slow, fast = (
-                power[(low <= frequency) & (frequency <= high)].mean(axis=0)
-                for low, high in (limits.free_start_band, limits.free_start_noise_band)
-            )
-            _moving[segment] = bool(np.max(slow / np.maximum(fast, TINY)) > limits.free_start_excess)
-        return _moving[segment]
+        key = key_of(self.thresholds), self._others(absent)
+        return segment.workspace.get("moves", key, lambda: self._moves(segment, absent))
+
+    def _moves(self, segment: Segment, absent: Mapping[str, float]) -> bool:
+        limits = self.thresholds
+        part = _first(segment, limits.free_start_durations[-1])
+        thrust = self._thrust(part, absent)
+        left = channels.measured(part)[:, _channel(part)] - thrust
+        columns = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
+        left -= (columns @ np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]).reshape(left.shape)
+        frequency, power = scipy.signal.periodogram(left, part.decimated_rate, window="hann", axis=0)
+        slow, fast = (
+            power[(low <= frequency) & (frequency <= high)].mean(axis=0)
+            for low, high in (limits.free_start_band, limits.free_start_noise_band)
+        )
+        return bool(np.max(slow / np.maximum(fast, TINY)) > limits.free_start_excess)
 
     def _absent(self, values: Mapping[str, float]) -> dict[str, float]:
         return {**values, **{name: p.neutral for name, p in self._strengths.items()}}
@@ -182,13 +177,17 @@ class FreeStart:
 
     def _thrust(self, segment: Segment, absent: Mapping[str, float]) -> Floats:
         """(m, 3) what the rotors give without the effect, whose other parameters then do not matter."""
-        others = {name: value for name, value in absent.items() if not name.startswith(f"{self.key}.")}
-        if segment in _thrusts and _thrusts[segment][0] == others:
-            return _thrusts[segment][1]
-        thrust = self._force(segment, absent, self.model.settled(segment))
-        if np.isfinite(thrust).all():  # hidden states that these logs are too slow for have no part in it elsewhere
-            _thrusts[segment] = others, thrust
-        return thrust
+
+        def compute() -> Floats:
+            return self._force(segment, absent, self.model.settled(segment))
+
+        thrust = segment.workspace.get("thrust", self._others(absent), compute, limit=1)
+        # hidden states that these logs are too slow for have no part in it elsewhere
+        return thrust if np.isfinite(thrust).all() else compute()
+
+    def _others(self, values: Mapping[str, float]) -> Hashable:
+        """The parameters that are not the effect's."""
+        return tuple(value for name, value in values.items() if not name.startswith(f"{self.key}."))
 
     def _forces(self, segment: Segment, values: Mapping[str, float], starts: Sequence[Floats]) -> list[Floats]:
         predictions, channel = self.model.predict_from(segment, values, starts), _channel(segment)
@@ -203,22 +202,12 @@ class FreeStart:
         return {f"{self.key}.{p.name}": p for p in self.effect.parameters if p.name not in held}
 
 
-_starts: WeakKeyDictionary[Segment, dict[tuple[str, bytes], Floats]] = WeakKeyDictionary()
-_anchors: WeakKeyDictionary[Segment, dict[tuple[str, bytes], tuple[Floats, Floats]]] = WeakKeyDictionary()
-_moving: WeakKeyDictionary[Segment, bool] = WeakKeyDictionary()
-_thrusts: WeakKeyDictionary[Segment, tuple[dict[str, float], Floats]] = WeakKeyDictionary()
-_firsts: WeakKeyDictionary[Segment, dict[int, Segment]] = WeakKeyDictionary()
-
-
 def _first(segment: Segment, duration: float) -> Segment:
     """Its first seconds."""
     count = round(duration * segment.rate)
     if count >= len(segment):
         return segment
-    firsts = _firsts.setdefault(segment, {})
-    if count not in firsts:
-        firsts[count] = segment.between(0, count)
-    return firsts[count]
+    return segment.workspace.get("beginning", count, lambda: segment.between(0, count))
 
 
 def _rounded(value: float, step: float) -> float:

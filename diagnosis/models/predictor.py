@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import casadi as ca
 import msgspec
@@ -139,12 +138,13 @@ class Predictor:
         if not self.model.hidden_count:
             return segment.smooth
         initial = self._initial(segment, values)
-        followed, key = _followed.setdefault(segment, {}), self._hidden_key(segment, values, initial)
-        if key not in followed:
-            if len(followed) >= MAX_FOLLOWED:
-                del followed[next(iter(followed))]
-            followed[key] = self._hidden(segment, values, initial)
-        return np.vstack([segment.smooth.T, followed[key].T]).T
+        hidden = segment.workspace.get(
+            "hidden states",
+            self._hidden_key(segment, values, initial),
+            lambda: self._hidden(segment, values, initial),
+            limit=MAX_FOLLOWED,
+        )
+        return np.vstack([segment.smooth.T, hidden.T]).T
 
     def settled(self, segment: Segment) -> Floats:
         """(h,) hidden states in hover, with the rotors at the speeds at a segment's start."""
@@ -246,20 +246,11 @@ def _by_prediction(columns: Floats) -> Floats:
     return columns.reshape(len(columns), columns.shape[1] // 12, 12)
 
 
-_followed: WeakKeyDictionary[Segment, dict[Hashable, Floats]] = WeakKeyDictionary()  # hidden states along segments
-_moved: WeakKeyDictionary[Segment, dict[float, Segment]] = WeakKeyDictionary()
-
-
 def _at_age(segment: Segment, age: float) -> Segment:
     """The segment with the rotors' speeds that were logged `age` s later."""
     if age == 0.0:
         return segment
-    of_segment = _moved.setdefault(segment, {})
-    if age not in of_segment:
-        if len(of_segment) >= MAX_MOVED:
-            del of_segment[next(iter(of_segment))]
-        of_segment[age] = segment.with_rotors_later(age)
-    return of_segment[age]
+    return segment.workspace.get("at age", age, lambda: segment.with_rotors_later(age), limit=MAX_MOVED)
 
 
 class _Functions:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -224,44 +223,25 @@ def make_instruments(
     """
     turned = segment.rotor_speed if rotor_speed is None else rotor_speed
     limit = segment.filters.slow_cutoff if cutoff is None else cutoff
-    slow_motion = _slow_motion(segment, vehicle, limit)
+    moment, rotor_acceleration = _slow_motion(segment, vehicle, limit)
     allocation = vehicle.rotors.allocation
     thrust = turned**2 @ allocation[0]
     if slow_thrust:
         thrust = slow(thrust, segment.rate, limit)
-    wrench = np.column_stack([thrust, slow_motion.moment])
+    wrench = np.column_stack([thrust, moment])
     speed = np.sqrt(np.maximum(wrench @ np.linalg.pinv(allocation).T, 0.0))
-    return Instruments(speed, turned, slow_motion.rotor_acceleration)
+    return Instruments(speed, turned, rotor_acceleration)
 
 
-@dataclass(frozen=True, eq=False)
-class _SlowMotion:
-    """Motion of a segment below a cutoff.
-
-    inertia: of the vehicle, kg m^2.
-    moment: (n, 3) that turns such a vehicle so, N m.
-    rotor_acceleration: (n, rotors) of the logged speeds, rad/s^2.
-    """
-
-    inertia: tuple[float, ...]
-    moment: Floats
-    rotor_acceleration: Floats
-
-
-_slow_motions: WeakKeyDictionary[Segment, dict[float, _SlowMotion]] = WeakKeyDictionary()
-
-
-def _slow_motion(segment: Segment, vehicle: Vehicle, cutoff: float) -> _SlowMotion:
-    """Slow motion of a segment, remembered for the last vehicle. cutoff: Hz."""
-    of_segment, inertia = _slow_motions.setdefault(segment, {}), np.array(vehicle.body.inertia)
-    if cutoff not in of_segment or of_segment[cutoff].inertia != tuple(inertia):
-        turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate
-        rate = slow(turning, segment.rate, cutoff)
-        moment = inertia * slow(difference(turning, segment.rate), segment.rate, cutoff)
-        moment += np.cross(rate, inertia * rate)
-        acceleration = slow(segment.rotor_acceleration, segment.rate, cutoff)
-        of_segment[cutoff] = _SlowMotion(tuple(inertia), moment, acceleration)
-    return of_segment[cutoff]
+def _slow_motion(segment: Segment, vehicle: Vehicle, cutoff: float) -> tuple[Floats, Floats]:
+    """(n, 3) moment, N m, of a segment's motion below a cutoff, Hz, and (n, rotors) acceleration of its logged speeds,
+    rad/s^2."""
+    inertia = np.array(vehicle.body.inertia)
+    turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate
+    rate = slow(turning, segment.rate, cutoff)
+    moment = inertia * slow(difference(turning, segment.rate), segment.rate, cutoff)
+    moment += np.cross(rate, inertia * rate)
+    return moment, slow(segment.rotor_acceleration, segment.rate, cutoff)
 
 
 def _span(segments: Sequence[Segment]) -> Span:

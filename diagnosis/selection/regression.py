@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
+from diagnosis.data.workspace import Workspace
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
 from diagnosis.selection.air_motion import Waves
 from diagnosis.selection.candidates import Candidate
@@ -82,7 +82,7 @@ class Regression:
     rate: of the rows, Hz.
     design: makes rows and columns of other segments.
     everything: (k,) ridge coefficients of all columns at once.
-    saturated: (m, 12) residuals after all columns at once, of the segments for which they were asked.
+    saturated: (m, 12) residuals after all columns at once, by digest of the segments for which they were asked.
     equations: of each flight in still air.
     pose: errors of the segments' pose that are noise.
     errors: of rows (m, 12) and columns (m, 12, k) that noise added to a segment causes, a segment each.
@@ -90,6 +90,7 @@ class Regression:
     thresholds: for all that is built on this regression.
     gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
+    workspace: fits that were made on it.
     """
 
     vehicle: Vehicle
@@ -120,7 +121,8 @@ class Regression:
     not_followed: tuple[str, ...] = ()
     nuisances: tuple[Candidate, ...] = ()
     shared: Biases = NO_BIASES
-    saturated: WeakKeyDictionary[Segment, Floats] = field(default_factory=WeakKeyDictionary)
+    saturated: dict[bytes, Floats] = field(default_factory=dict)
+    workspace: Workspace = field(default_factory=Workspace, init=False)
 
     @cached_property
     def sensor_errors(self) -> SensorErrors:
@@ -129,10 +131,10 @@ class Regression:
 
     def saturated_residual(self, segment: Segment) -> Floats:
         """(m, 12) residual of any segment after all columns at once, which all trials of effects have in common."""
-        if segment not in self.saturated:
+        if segment.digest not in self.saturated:
             rows, columns = self.design.evaluate(segment)
-            self.saturated[segment] = rows - columns @ self.everything
-        return self.saturated[segment]
+            self.saturated[segment.digest] = rows - columns @ self.everything
+        return self.saturated[segment.digest]
 
     @property
     def explained(self) -> float:

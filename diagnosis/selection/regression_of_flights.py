@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +73,7 @@ def make_regression(
         biases=biases,
         design=design,
         everything=everything,
-        saturated=WeakKeyDictionary(zip(segments, _residuals(rows, columns, everything), strict=True)),
+        saturated=dict(zip([s.digest for s in segments], _residuals(rows, columns, everything), strict=True)),
         equations=equations,
         pose=pose,
         errors=errors,

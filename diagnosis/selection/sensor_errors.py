@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.data.workspace import Workspace
 from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import DesignMatrix
@@ -73,13 +74,15 @@ class SensorErrors:
         self._design = (
             DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction) if candidates else None
         )
-        self._columns: dict[int, tuple[Segment, Floats]] = {}
+        self._workspace = Workspace()
 
     def columns(self, segment: Segment) -> Floats:
         """(m, 12, k) of a segment."""
         if self._design is None:
             return np.zeros((len(segment.position[segment.decimated]), channels.CHANNELS, 0))
-        if id(segment) not in self._columns:
-            _, columns = self._design.evaluate(segment, instrumented=False)
-            self._columns[id(segment)] = (segment, columns[:, :, self._places])
-        return self._columns[id(segment)][1]
+        design = self._design
+
+        def columns() -> Floats:
+            return design.evaluate(segment, instrumented=False)[1][:, :, self._places]
+
+        return self._workspace.get("columns", segment.digest, columns)

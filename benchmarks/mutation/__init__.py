@@ -1,0 +1,1 @@
+"""Mutation testing: which of the mutants of a tree the tests kill."""
