@@ -17,7 +17,7 @@ from dynamics.arrays import Floats
 from flights.events import Event
 from flights.quantities import PRIMARY, QUANTITIES, Quantity
 
-_ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
+_ELEMENT = re.compile(r"([a-z]+)\[(\d+)\]")
 # names of repairs that leave something out
 DAMAGE = (
     "torn_gzip", "torn_rows", "torn_record", "torn_end", "damaged_messages", "damaged_frames", "skipped_bytes",

@@ -54,8 +54,11 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
     """Speeds of single rotors that cannot be true. segments: of free flight."""
     if not segments or not segments[0].has("rotor_speed"):
         return []
-    findings = []
-    for uneven in uneven_rotors(segments):
+    findings: list[Finding] = []
+    every = uneven_rotors(segments)
+    if sum(not uneven.as_commanded for uneven in every) > 1:
+        return [_disagreement(segments)]
+    for uneven in every:
         rotor, share = uneven.rotor, uneven.share
         if uneven.as_commanded:
             text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as commanded"
@@ -68,6 +71,21 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
         agree = "and no command explains it" if uneven.as_commanded is None else "while its command is as theirs"
         findings.append(_fault(rotor, f"reads {share:.2f} times the speed of its peers, {agree}"))
     return findings or _dropouts(segments)
+
+
+def _disagreement(segments: Sequence[Flight]) -> Finding:
+    """Several rotors that differ: of two against two no majority says which are wrong."""
+    speed = np.abs(np.concatenate([segment["rotor_speed"] for segment in segments]))
+    mean = np.nanmean(speed, axis=0)
+    ratios = ", ".join(f"{share:.2f}" for share in mean / np.max(mean))
+    return Finding(
+        "error",
+        "rotor_speed_fault",
+        f"the rotors' speeds are in the ratio {ratios}, and no command explains it: several measurements are wrong, "
+        "and no majority tells which",
+        "compare the flight with its vehicle file, whose weight and moments tell which (`alula diagnose`); check the "
+        "ESCs' telemetry, pole counts and mapping to the motors",
+    )
 
 
 def _fault(rotor: int, evidence: str) -> Finding:
