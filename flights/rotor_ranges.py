@@ -56,7 +56,10 @@ class CommandRange:
         return np.asarray((values - low) / (high - low))
 
     def holds(self, values: Floats) -> bool:
-        """Whether nothing moves outside of the range. values: (n, k)."""
+        """Whether nothing moves outside of the range, and the largest value lies within it. values: (n, k)."""
+        top = float(np.nanmax(values, initial=-np.inf))
+        if not any(low - MAX_BELOW * (high - low) <= top for low, high in zip(self.low, self.high, strict=True)):
+            return False
         for column, low, high in zip(values.T, self.low, self.high, strict=True):
             span = high - low
             outside = (column < low - MAX_BELOW * span) | (column > high + MAX_ABOVE * span)

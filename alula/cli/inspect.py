@@ -147,7 +147,8 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     for text in inspection.inferences:
         console.print(f"understood: {text}", style="dim", highlight=False, markup=False)
     for unused in inspection.unused:
-        if unused.moves or everything:
+        is_named = any(str(unused) in finding.text for finding in inspection.findings)
+        if (unused.moves or everything) and not is_named:
             console.print(f"also logged: {unused}", style="dim", highlight=False, markup=False)
     _print_effects(inspection, console)
     if everything:
