@@ -89,7 +89,7 @@ def _misread(
     """
     names = {flight.provenance.path: flight for of_rotor in uneven.values() for flight, _ in of_rotor}
     parts = [segment for flight in names.values() for segment in segments(flight, vehicle, thresholds)]
-    shares = reading_shares(parts, vehicle)
+    shares = reading_shares(parts, vehicle, thresholds.rotor_moments)
     wrong = [] if shares is None else misread_rotors(shares)
     if shares is None or not wrong:
         return ""

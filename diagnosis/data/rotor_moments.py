@@ -104,7 +104,7 @@ def compared_moments(
 ) -> RotorMoments:
     """With the lag behind commands that explains most; measured speeds have none."""
     lags = limits.response_times if segments[0].rotor_source != "measured" else (0.0,)
-    motion = [(rotation(s, vehicle), _others(s)) for s in segments]
+    motion = [(_rotation(s, vehicle), _others(s)) for s in segments]
     at_lags = [_compared(motion, _squares(segments, lag), vehicle, limits) for lag in lags]
     return max(at_lags, key=lambda moments: moments.explained)
 
@@ -124,7 +124,7 @@ def _compared(
 ) -> RotorMoments:
     """motion: of each segment, rotation and what else turns it. shift: rows by which the rotors are taken later."""
     rotors, nuisances, rotations = [], [], []
-    for (acceleration, others), speeds in zip(motion, squares, strict=True):
+    for (rotation, others), speeds in zip(motion, squares, strict=True):
         early, late = (
             slice(max(-shift, 0), len(speeds) - max(shift, 0)),
             slice(max(shift, 0), len(speeds) - max(-shift, 0)),
@@ -132,7 +132,7 @@ def _compared(
         if len(speeds[late]) > limits.min_rows:
             rotors.append(_centred(speeds[late]))
             nuisances.append(_centred(np.column_stack([others[early], speeds[late].sum(axis=1)])))
-            rotations.append(_centred(acceleration[early]))
+            rotations.append(_centred(rotation[early]))
     if not rotors:
         return RotorMoments(np.zeros((1, 3)), np.zeros((1, vehicle.rotors.count)), vehicle.rotors.allocation[1:], ())
     x, z, y = (np.vstack(parts) for parts in (rotors, nuisances, rotations))
@@ -146,7 +146,7 @@ def _centred(values: Floats) -> Floats:
     return np.asarray(values - values.mean(axis=0))
 
 
-def rotation(segment: Segment, vehicle: Vehicle) -> Floats:
+def _rotation(segment: Segment, vehicle: Vehicle) -> Floats:
     """(m, 3) moment over inertia that the rotation has, rad/s^2."""
     inertia = np.array(vehicle.body.inertia)
     gyroscopic = np.cross(segment.body_rate, inertia * segment.body_rate) / inertia
@@ -246,7 +246,7 @@ def _best_shift(segments: Sequence[Segment], vehicle: Vehicle, limits: RotorMome
     """The shift of the rotors' clock, s, that explains most, and the share that it explains."""
     rate = segments[0].decimated_rate
     lag = 0.0 if segments[0].rotor_source == "measured" else limits.response_times[len(limits.response_times) // 2]
-    motion, squares = [(rotation(s, vehicle), _others(s)) for s in segments], _squares(segments, lag)
+    motion, squares = [(_rotation(s, vehicle), _others(s)) for s in segments], _squares(segments, lag)
     steps = range(-round(limits.max_shift * rate), round(limits.max_shift * rate) + 1)
     tried = [(_compared(motion, squares, vehicle, limits, shift=step).explained, step / rate) for step in steps]
     explained, seconds = max(tried)

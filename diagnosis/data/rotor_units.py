@@ -15,8 +15,9 @@ import numpy as np
 import scipy
 
 from diagnosis.data.filters import difference
-from diagnosis.data.rotor_moments import rotation
+from diagnosis.data.rotor_moments import compared_moments
 from diagnosis.data.segment import Segment
+from diagnosis.thresholds import DEFAULT, RotorMomentChecks
 from dynamics.arrays import Floats
 from dynamics.rotor_places import rotor_names
 from dynamics.units import RPM
@@ -28,7 +29,6 @@ _MAX_COST = 2.6  # in units of that: 8 %, where the file's thrust constant errs 
 _CLEAR = 0.7  # in units of that, by which a unit must be likelier than the next to stand alone
 _USUAL_PAIRS = (7, 6, 11, 12, 14)  # pole pairs of nearly all motors, the most usual first
 _MAX_PAIRS = 24
-_YAW_WEIGHT = 0.3  # of the yaw's equation: reaction torques are small beside the air's
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,11 @@ def _units() -> tuple[Unit, ...]:
         speeds = f"electrical speeds of motors with {pairs} pole pairs"
         units.append(Unit(pairs, f"they are {speeds}; divide by {pairs}", prior))
         units.append(Unit(pairs / RPM, f"they are {speeds}, in rpm; divide by {pairs} and convert to rad/s", prior))
-        twice = f"they were divided by {pairs} pole pairs twice; multiply by {pairs}"
-        units.append(Unit(1 / pairs, twice, prior + 0.5))
-        hundreds = f"they are {speeds}, in hundreds of rpm; multiply by 100, divide by {pairs} and convert to rad/s"
-        units.append(Unit(pairs / RPM / 100, hundreds, prior + 2.0))
+        if pairs in _USUAL_PAIRS:
+            twice = f"they were divided by {pairs} pole pairs twice; multiply by {pairs}"
+            units.append(Unit(1 / pairs, twice, prior + 0.5))
+            hundreds = f"they are {speeds}, in hundreds of rpm; multiply by 100, divide by {pairs} and convert to rad/s"
+            units.append(Unit(pairs / RPM / 100, hundreds, prior + 2.0))
     for power in (1, 2, 3):
         for factor in (10.0**power, 10.0**-power):
             does = "divide" if factor > 1 else "multiply"
@@ -89,24 +90,29 @@ def specific_thrust(segment: Segment) -> Floats:
     return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world))
 
 
-def reading_shares(segments: Sequence[Segment], vehicle: Vehicle) -> Floats | None:
-    """(k,) each rotor's read speed over that which weight and moments need; None where no solution is finite."""
-    rows, targets = [], []
-    allocation, inertia = vehicle.rotors.allocation, np.array(vehicle.body.inertia)
-    weight = vehicle.body.mass * GRAVITY
+def reading_shares(
+    segments: Sequence[Segment], vehicle: Vehicle, limits: RotorMomentChecks = DEFAULT.rotor_moments
+) -> Floats | None:
+    """(k,) each rotor's read speed over that which weight and moments need; None where the rotation tells too little.
+
+    Moments count by their changes: their mean is a load's off the centre as well.
+    """
+    if not segments:
+        return None
+    moments = compared_moments(segments, vehicle, limits)
+    if moments.explained < limits.min_explained:
+        return None
+    allocation, mass = vehicle.rotors.allocation, vehicle.body.mass
     arm = float(np.mean(np.abs(allocation[1:3]))) / float(np.mean(allocation[0]))
-    lever = float(np.mean(np.abs(allocation[3]))) / float(np.mean(allocation[0]))
-    scale = np.array([weight, weight * arm, weight * arm, weight * lever / _YAW_WEIGHT])
+    rows = [moments.squares * moments.rows[axis] / (mass * GRAVITY * arm) for axis in moments.axes]
+    inertia = vehicle.body.inertia
+    targets = [moments.acceleration[:, axis] * inertia[axis] / (mass * GRAVITY * arm) for axis in moments.axes]
     for segment in segments:
         squares = segment.low_pass(segment.rotor_speed**2)[segment.decimated]
-        thrust = vehicle.body.mass * segment.low_pass(specific_thrust(segment))[segment.decimated]
-        moments = rotation(segment, vehicle) * inertia
-        for axis, target in enumerate((thrust, *moments.T)):
-            valid = np.isfinite(target) & np.isfinite(squares).all(axis=1)
-            rows.append((squares * allocation[axis])[valid] / scale[axis])
-            targets.append(target[valid] / scale[axis])
-    if not rows or not sum(map(len, targets)):
-        return None
+        force = segment.low_pass(specific_thrust(segment))[segment.decimated]
+        valid = np.isfinite(force) & np.isfinite(squares).all(axis=1)
+        rows.append((squares * allocation[0])[valid] / (mass * GRAVITY))
+        targets.append(force[valid] / GRAVITY)
     matrix = np.vstack(rows)
     size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
     gains = scipy.optimize.nnls(matrix / size, np.concatenate(targets))[0] / size

@@ -1,7 +1,5 @@
 """Units of rotor speeds and misread rotors follow from the vehicle's weight and moments, and not from other rotors."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -51,12 +49,12 @@ def test_the_unit_is_told_of_a_flight_that_is_too_short_for_all_else(plain_fligh
         require_answerable(all_segments(flights, arpl_250g), arpl_250g)
 
 
-@pytest.mark.parametrize("wrong", [*itertools.combinations(range(4), 2), (0, 1, 3)])
+@pytest.mark.parametrize("wrong", [(1, 3), (0, 1), (0, 2, 3)])
 def test_several_misread_rotors_are_named_and_only_these(changed, arpl_250g, wrong):
     factors = [1.0] * 4
     for rotor, factor in zip(wrong, (0.55, 0.18, 0.4), strict=False):
         factors[rotor] = factor
-    flights = changed(**scaled(factors))
+    flights = changed(**scaled(factors))[:3]
     shares = reading_shares(all_segments(flights, arpl_250g), arpl_250g)
     assert shares is not None
     np.testing.assert_allclose(shares, factors, rtol=0.05)
