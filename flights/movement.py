@@ -17,7 +17,7 @@ def moves(values: Floats) -> bool:
     if len(finite) < MIN_VALUES or not np.ptp(finite) > MIN_SPAN * np.max(np.abs(finite)):
         return False
     count = len(np.unique(finite))
-    return count >= MIN_VALUES or (count > 2 and np.count_nonzero(np.diff(finite)) >= MIN_CHANGES)
+    return count >= MIN_VALUES or (count > 2 and int(np.count_nonzero(np.diff(finite))) >= MIN_CHANGES)
 
 
 def moving_columns(table: Floats) -> list[int]:

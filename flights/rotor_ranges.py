@@ -117,7 +117,7 @@ def infer_range(
         return CommandRange.of(*LEVELS, count, "the numbers themselves")
     holding = [candidate for candidate in stated if candidate.holds(values)]
     others = [CommandRange.of(*kind, count) for kind in _possible(values, top, kinds)]
-    others = [other for other in others if not any(_same(other, known) for known in holding)]
+    others = [other for other in others if not any(_same(other, held) for held in holding)]
     candidates = [*holding, *others]
     if not candidates:
         return None

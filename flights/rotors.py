@@ -59,7 +59,7 @@ def rotor_speeds(
 
 
 def instead_of_missing(flight: Flight) -> str:
-    """What to do about rotors that a flight lacks: to name those that its log holds unnamed, or to log them."""
+    """Advice on rotors that a flight lacks: to name those that its log holds unnamed, or to log them."""
     candidates = flight.provenance.candidates(WRENCH)
     if not candidates:
         return "log them"

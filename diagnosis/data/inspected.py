@@ -59,7 +59,7 @@ def inspected(
         finding = Finding("error", "rotor_speed_fault", misread, "check the ESCs' telemetry and their pole counts")
         if not all(_commanded(flight) for flight in flights):
             raise DataError(f"{misread}. Repair it, or log the motor commands beside the speeds, which are then used.")
-        others = (known for known in findings if known.name != finding.name)
+        others = (other for other in findings if other.name != finding.name)
         return [_without_speeds(flight) for flight in flights], (finding, *others)
     doubted = [of_rotor[0] for of_rotor in uneven.values() if _is_wrong(of_rotor, vehicle, thresholds)]
     if not doubted:

@@ -33,7 +33,7 @@ _MAX_PAIRS = 24
 
 @dataclass(frozen=True)
 class Unit:
-    """What a factor between read and needed speeds may mean.
+    """Meaning that a factor between read and needed speeds may have.
 
     factor: of the reading over rad/s of the rotor.
     text: for people, with what to do.
@@ -73,7 +73,7 @@ UNITS = _units()
 
 
 def unit_of(factor: float) -> str:
-    """What read speeds are that are so many times the needed ones, with what to do; a factor where no unit fits."""
+    """Unit of speeds that read so many times the needed ones, with what to do; a factor where no unit fits."""
     costs = {unit: abs(math.log(factor / unit.factor)) / _CLOSE + unit.prior for unit in UNITS}
     likely = sorted((unit for unit in UNITS if costs[unit] < _MAX_COST), key=lambda unit: costs[unit])
     if not likely:

@@ -52,7 +52,7 @@ UNUSED_ROTORS: Mapping[str, str] = {
 
 
 def unused_rotors(form: str) -> str:
-    """What makes rotors of numbers that a log of this format holds and nothing names."""
+    """How rotors are made of numbers that a log of this format holds and nothing names."""
     return UNUSED_ROTORS.get(form, "name them in a column mapping (--mapping), with their unit and order")
 
 

@@ -55,7 +55,7 @@ def _outputs(collected: Mapping[str, Messages]) -> dict[int, Floats]:
     if "RCOU" not in collected:
         return {}
     stamps = collected["RCOU"].integers("TimeUS")
-    found: dict[int, Floats] = {}
+    pulses: dict[int, Floats] = {}
     for kind in MESSAGES:
         rows = collected.get(kind)
         if rows is None or not len(rows.rows):
@@ -63,8 +63,8 @@ def _outputs(collected: Mapping[str, Messages]) -> dict[int, Floats]:
         for output in range(1, _MAX_OUTPUTS + 1):
             if rows.has(f"C{output}") and output >= _FIRST_OUTPUT[kind]:
                 field = f"C{output}"
-                found[output] = rows.numbers(field) if kind == "RCOU" else nearest(rows, field, stamps)
-    return found
+                pulses[output] = rows.numbers(field) if kind == "RCOU" else nearest(rows, field, stamps)
+    return pulses
 
 
 def nearest(rows: Messages, field: str, stamps: NDArray[np.int64]) -> Floats:

@@ -111,9 +111,9 @@ def _keep(assembly: Assembly, topic: Topic, used: Sequence[int], reason: str) ->
 
 def _best(readings: Sequence[_Reading], thrust: Thrust | None) -> _Reading | None:
     """The reading of which most motors move, of several the one that goes with the thrust; else one that is not 0."""
-    most = max((reading.moving for reading in readings), default=0)
-    if most:
-        moving = [reading for reading in readings if reading.moving == most]
+    count = max((reading.moving for reading in readings), default=0)
+    if count:
+        moving = [reading for reading in readings if reading.moving == count]
         return moving[0] if thrust is None else max(moving, key=lambda reading: _goes_with(reading, thrust))
     return next((reading for reading in readings if (np.nan_to_num(reading.values) != 0.0).any(axis=0).all()), None)
 

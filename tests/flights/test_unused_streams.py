@@ -133,12 +133,12 @@ def test_outputs_without_a_function_or_a_type_are_candidates_and_not_missing(
     assert (unused.low, unused.high) == pytest.approx((pulses.min(), pulses.max()), abs=1e-3)
     assert f"outputs 0 to 3 move between {unused.low:.6g} and {unused.high:.6g}; not used: no function" in str(unused)
     inspection = judge(log)
-    told = [
+    lines = [
         inspection.sentence,
         *(f.text + f.advice for f in inspection.findings),
         *(e.why for e in inspection.effects),
     ]
-    assert not any(text in line for text in MISSING for line in told)
+    assert not any(text in line for text in MISSING for line in lines)
     assert any(str(unused) in finding.text for finding in inspection.findings)
     assert msgspec.json.decode(msgspec.json.encode(inspection))["unused"][0]["source"] == "actuator_outputs[2]"
     with pytest.raises(DataError, match=r"may hold them unnamed: actuator_outputs\[2\]") as refused:
