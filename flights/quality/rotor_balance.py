@@ -75,9 +75,8 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
 
 def _disagreement(segments: Sequence[Flight]) -> Finding:
     """Several rotors that differ: of two against two no majority says which are wrong."""
-    speed = np.abs(np.concatenate([segment["rotor_speed"] for segment in segments]))
-    mean = np.nanmean(speed, axis=0)
-    ratios = ", ".join(f"{share:.2f}" for share in mean / np.max(mean))
+    mean = _means(np.concatenate([segment["rotor_speed"] for segment in segments]))
+    ratios = ", ".join(f"{share:.2f}" for share in mean / np.max(mean[np.isfinite(mean)]))
     return Finding(
         "error",
         "rotor_speed_fault",
@@ -124,10 +123,15 @@ def _reads_zero(flight: Flight, rotor: int) -> np.ndarray:
     return np.asarray((speed[:, rotor] < 1.0) & (np.median(others, axis=1) > 50.0))
 
 
+def _means(values: Floats) -> Floats:
+    """Each column's mean size, NaN where it has no value. values: (n, k)."""
+    columns = [np.abs(column[np.isfinite(column)]) for column in values.T]
+    return np.array([column.mean() if len(column) else np.nan for column in columns])
+
+
 def _share_of_peers(values: Floats) -> Floats:
     """Each column's mean over the median of the others' means; 1 where it is undefined."""
-    columns = [np.abs(column[np.isfinite(column)]) for column in values.T]
-    mean = np.array([column.mean() if len(column) else np.nan for column in columns])
+    mean = _means(values)
     peers = np.array([np.median(np.delete(mean, k)) if len(mean) > 1 else np.nan for k in range(len(mean))])
     valid = np.isfinite(mean) & np.isfinite(peers) & (peers > 0)
     return np.asarray(np.divide(mean, peers, out=np.ones_like(mean), where=valid))

@@ -96,6 +96,34 @@ def test_of_several_instances_that_move_the_motors_go_with_the_thrust(
     }
 
 
+@pytest.mark.parametrize(
+    ("parameters", "low", "high", "channels"),
+    [
+        ({"DSHOT_CONFIG": 600}, 0.0, 1999.0, (0, 1, 2, 3)),
+        ({"DSHOT_CONFIG": 600, "DSHOT_MIN": 0.055}, 0.055 * 1999, 1999.0, (0, 1, 2, 3)),
+        ({f"PWM_AUX_FUNC{5 + n}": 101 + n for n in range(4)} | {"PWM_AUX_TIM0": -3}, 0.0, 1999.0, (4, 5, 6, 7)),
+        ({f"UAVCAN_EC_FUNC{4 - n}": 101 + n for n in range(4)}, 0.0, 8191.0, (3, 2, 1, 0)),
+        ({f"UAVCAN_EC_FUNC{1 + n}": 101 + n for n in range(4)} | {f"UAVCAN_EC_MIN{1 + n}": 200 for n in range(4)},
+         200.0, 8191.0, (0, 1, 2, 3)),
+        ({"PWM_MIN": 1100, "PWM_MAX": 1900}, 1100.0, 1900.0, (0, 1, 2, 3)),
+        ({"PWM_AUX_FUNC1": 201, "SYS_CTRL_ALLOC": 0}, 1000.0, 2000.0, (0, 1, 2, 3)),
+    ],
+)  # fmt: skip
+def test_ranges_and_channels_are_those_that_parameters_state(
+    truth: Truth,
+    tmp_path: Path,
+    parameters: dict[str, float],
+    low: float,
+    high: float,
+    channels: tuple[int, ...],
+) -> None:
+    outputs = np.zeros((len(truth.time), 8))
+    outputs[:, channels] = low + (high - low) * _commands(truth)
+    log = _ulog(truth, tmp_path, {1: outputs}, parameters)
+    assert_allclose(_rotor_command(log), _commands(truth)[:, ORDER], atol=1e-3)
+    assert any(f"{low:g} to {high:g}, by " in text for text in log.provenance.inferences), log.provenance.inferences
+
+
 def test_a_stream_that_stands_still_never_wins_over_one_that_moves(truth: Truth, tmp_path: Path) -> None:
     stamps = (5_000_000 + np.round(truth.time * 1e6)).astype("<u8")
     still = Topic("actuator_motors", {"timestamp": stamps, "control": np.full((len(stamps), 12), 0.0, dtype="<f4")})

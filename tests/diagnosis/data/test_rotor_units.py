@@ -9,6 +9,7 @@ from diagnosis.data.inspected import inspected
 from diagnosis.data.rotor_units import misread_rotors, reading_shares, unit_of
 from diagnosis.data.segment import segments
 from dynamics.errors import DataError
+from tests.diagnosis.conftest import with_columns
 
 RPM = 60 / (2 * np.pi)
 
@@ -59,6 +60,11 @@ def test_several_misread_rotors_are_named_and_only_these(changed, arpl_250g, wro
     assert shares is not None
     np.testing.assert_allclose(shares, factors, rtol=0.05)
     assert misread_rotors(shares) == list(wrong)
+    used, findings = inspected(flights, arpl_250g)  # these have commands, which are then used instead
+    assert not any(flight.has("rotor_speed") for flight in used)
+    (fault,) = (finding for finding in findings if finding.name == "rotor_speed_fault")
+    commands = {name: None for name in flights[0].columns if "command" in name}
     with pytest.raises(DataError, match="times the speed that weight and moments need") as refused:
-        inspected(flights, arpl_250g)
-    assert [rotor for rotor in range(4) if f"rotor {rotor} (" in str(refused.value)] == list(wrong)
+        inspected([with_columns(flight, commands) for flight in flights], arpl_250g)
+    for text in (fault.text, str(refused.value)):
+        assert [rotor for rotor in range(4) if f"rotor {rotor} (" in text] == list(wrong)
