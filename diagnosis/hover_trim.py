@@ -30,7 +30,7 @@ from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
 from flights.filters import zero_phase
-from flights.rotors import QUANTITIES
+from flights.rotors import QUANTITIES, instead_of_missing
 
 
 class RotorShare(msgspec.Struct, frozen=True):
@@ -96,7 +96,8 @@ def hover_shares(flight: Flight, vehicle: Vehicle, thresholds: HoverTrimThreshol
     quantity = next((q for q in usual if flight.has(q) and _fast(flight, q, thresholds)), None)
     if quantity is None:
         raise DataError(
-            f"{name} has {', '.join(flight.quantities)}. Wanted motor commands or rotor speeds of each rotor; log them."
+            f"{name} has {', '.join(flight.quantities)}. Wanted motor commands or rotor speeds of each rotor; "
+            f"{instead_of_missing(flight)}."
         )
     if flight[quantity].shape[1] != vehicle.rotors.count:
         raise DataError(f"{name} has {flight[quantity].shape[1]} rotors, the vehicle file {vehicle.rotors.count}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,8 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.events import MAX_EVENTS, Event, EventKind, cleaned
-from flights.log import LogContent, Repair, Stream, spanning_streams
+from flights.log import LogContent, Repair, Stream, UnusedStream, spanning_streams
+from flights.movement import moves
 from flights.quantities import PRIMARY, QUANTITIES, ROTORS
 from flights.source import MAX_STEP_BACK
 
@@ -42,12 +44,20 @@ class Assembly:
         self._notes: list[str] = []
         self._events: list[Event] = []
         self._repairs: list[Repair] = []
+        self._unused: list[UnusedStream] = []
+        self._inferences: list[str] = []
         self._epoch: int | None = None
 
     def note(self, text: str) -> None:
         """Add a note for the user, each once."""
         if text not in self._notes:
             self._notes.append(text)
+
+    def infer(self, text: str) -> None:
+        """Add a note on a range, unit or order as it was understood, and on what that rests; each once."""
+        self.note(text)
+        if text not in self._inferences:
+            self._inferences.append(text)
 
     def event(self, time: float, kind: EventKind, text: str) -> None:
         """Add a change of mode or a message. time: s of the file's clock."""
@@ -59,6 +69,38 @@ class Assembly:
         repair = Repair(name, detail)
         if repair not in self._repairs:
             self._repairs.append(repair)
+
+    def leave_out(
+        self, quantity: str, source: str, fields: Sequence[str], values: ArrayLike, reason: str, *, count: int = 0
+    ) -> None:
+        """Keep what is said of numbers that may be a quantity and are not used as one.
+
+        values: (n, k), a column a field, in the file's unit.
+        count: of samples, where `values` are fewer.
+        """
+        table = np.asarray(values, dtype=float).reshape(-1, len(fields))
+        finite = np.isfinite(table).any(axis=0)
+        moving = np.array([moves(column) for column in table.T], dtype=bool)
+        shown = moving if moving.any() else finite
+        if not shown.any():
+            return
+        part = table[:, shown]
+        unused = UnusedStream(
+            source,
+            tuple(name for name, is_shown in zip(fields, shown.tolist(), strict=True) if is_shown),
+            quantity,
+            float(np.nanmin(part)),
+            float(np.nanmax(part)),
+            bool(moving.any()),
+            count or len(table),
+            reason,
+        )
+        if unused not in self._unused:
+            self._unused.append(unused)
+
+    def stream(self, name: str) -> Stream | None:
+        """The stream that was added first for a quantity."""
+        return next((stream for stream in (*self._streams, *self._spares) if stream.name == name), None)
 
     def seconds(self, ticks: ArrayLike, per_second: int) -> Floats:
         """Integer stamps as seconds since the first stamp of the first call, exact to the stamp's own resolution."""
@@ -89,6 +131,9 @@ class Assembly:
                 self._faults.setdefault(what, (name, error))
             else:
                 self.repair("stream_left_out", f"{error} It is left out.")
+            table = np.asarray(values, dtype=float).reshape(len(stamps), -1)
+            width = range(table.shape[1])
+            self.leave_out(name, source, [f"{name}[{column}]" for column in width], table, "its rows are no recording")
             return
         if not len(stamps) or np.isnan(table).all():
             self.note(f"{what} {EMPTY}")
@@ -215,6 +260,8 @@ class Assembly:
             tuple(self._notes),
             tuple(self._repairs),
             tuple(Event(round(e.time - start, 6), e.kind, e.text) for e in sorted(self._events, key=lambda e: e.time)),
+            tuple(self._unused),
+            tuple(self._inferences),
         )
 
 

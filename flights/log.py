@@ -6,7 +6,8 @@ that a reader makes to the file's content is a named `Repair`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,6 +17,7 @@ from dynamics.arrays import Floats
 from flights.events import Event
 from flights.quantities import PRIMARY, QUANTITIES, Quantity
 
+_ELEMENT = re.compile(r"([a-z]+)\[(\d+)\]")
 # names of repairs that leave something out
 DAMAGE = (
     "torn_gzip", "torn_rows", "torn_record", "torn_end", "damaged_messages", "damaged_frames", "skipped_bytes",
@@ -36,6 +38,54 @@ class Repair:
 
     def __str__(self) -> str:
         return f"{self.name}: {self.detail}"
+
+
+@dataclass(frozen=True)
+class UnusedStream:
+    """Numbers of the file that may be a quantity and are not used as one.
+
+    source: topic with its instance, message, or table.
+    fields: of the source, in its order.
+    quantity: which they may be, by its name in `flights.quantities`.
+    low, high: the range over which they move, in the file's unit; where they stand, if they stand still.
+    moves: whether any of them moves.
+    count: of samples.
+    reason: why they are not used.
+    """
+
+    source: str
+    fields: tuple[str, ...]
+    quantity: str
+    low: float
+    high: float
+    moves: bool
+    count: int
+    reason: str
+
+    def __str__(self) -> str:
+        does = "move" if self.moves else "stand still"
+        if len(self.fields) == 1:
+            does += "s" if self.moves else ""
+            does = does.replace("stand ", "stands ")
+        span = f"at {self.low:.6g}"
+        if self.high > self.low:
+            ends = f"{self.low:.6g} and {self.high:.6g}"
+            span = f"between {ends}" if self.moves else f"at values between {ends}"
+        return f"{self.source}: {_listed(self.fields)} {does} {span}; not used: {self.reason}"
+
+
+def _listed(fields: Sequence[str]) -> str:
+    """Names of fields as few words: "outputs 0 to 3" for output[0] to output[3]."""
+    if len(fields) == 1:
+        return fields[0]
+    parts = [_ELEMENT.fullmatch(name) for name in fields]
+    if all(parts) and len({part[1] for part in parts if part}) == 1:
+        numbers = [int(part[2]) for part in parts if part]
+        name = f"{parts[0][1]}s" if parts[0] else ""
+        if numbers == list(range(numbers[0], numbers[-1] + 1)):
+            return f"{name} {numbers[0]} to {numbers[-1]}"
+        return f"{name} {', '.join(map(str, numbers))}"
+    return f"{fields[0]} and {fields[1]}" if len(fields) == 2 else f"{fields[0]} to {fields[-1]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +158,8 @@ class LogContent:
     notes: assumptions, and data that the file lacks or that were left out.
     repairs: changes to the file's content.
     events: modes and messages, in the order of time.
+    unused: numbers that may be a flight's quantity and are not used as one.
+    inferences: notes on ranges, units and orders as they were understood, and on what that rests.
     """
 
     streams: tuple[Stream, ...]
@@ -117,6 +169,8 @@ class LogContent:
     notes: tuple[str, ...] = ()
     repairs: tuple[Repair, ...] = ()
     events: tuple[Event, ...] = ()
+    unused: tuple[UnusedStream, ...] = ()
+    inferences: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,6 +179,8 @@ class Provenance:
 
     sha256: of the file on disk, compressed or not.
     format, reader: name for people, and module.
+    unused: numbers of the file that may be a flight's quantity and are not used as one.
+    inferences: those of the notes on ranges, units and orders as they were understood, and on what that rests.
     """
 
     path: str
@@ -133,6 +189,12 @@ class Provenance:
     reader: str
     notes: tuple[str, ...] = ()
     repairs: tuple[Repair, ...] = ()
+    unused: tuple[UnusedStream, ...] = ()
+    inferences: tuple[str, ...] = ()
+
+    def candidates(self, names: Collection[str]) -> tuple[UnusedStream, ...]:
+        """Unused numbers that move and may be one of some quantities: what of them is in the file after all."""
+        return tuple(unused for unused in self.unused if unused.moves and unused.quantity in names)
 
     @property
     def damage(self) -> tuple[str, ...]:

@@ -142,14 +142,22 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     """The log of a file's content. Raises DataError when it is empty or contradicts its units and frames."""
     form, path = FORMATS[name], source.path
     if not content.streams:
-        raise DataError(f"{path} is a {form.label} without flight data. {' '.join(content.notes)}".rstrip())
+        remarks = " ".join((*content.notes, *map(str, content.unused)))
+        raise DataError(f"{path} is a {form.label} without flight data. {remarks}".rstrip())
     notes = list(content.notes)
     for finding in plausibility.check(content.streams):
         if not form.declares_frames:
             raise DataError(f"{path}: {finding.text}")
         notes.append(finding.text)
     provenance = Provenance(
-        str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + content.repairs
+        str(path),
+        digest,
+        form.label,
+        f"flights.readers.{name}",
+        tuple(notes),
+        source.repairs + content.repairs,
+        content.unused,
+        content.inferences,
     )
     metadata = {**content.metadata, pose_source.KEY: pose_source.known_source(name, content)}
     return Log(content.streams, provenance, content.start, metadata, content.parameters, content.events)

@@ -9,10 +9,10 @@ import numpy as np
 from dynamics.allocation import effectiveness
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
-from dynamics.excitation import COMMAND
+from dynamics.excitation import COMMAND, WRENCH
 from dynamics.vehicle import Rotors, Vehicle
 from flights.flight import Flight
-from flights.quality.advice import faster_rotors
+from flights.quality.advice import faster_rotors, unused_rotors
 from flights.quality.inspection import MIN_ROTOR_RATE
 
 RotorSource = Literal["measured", "speed_command", "command"]  # commanded speeds are taken as reached
@@ -54,8 +54,17 @@ def rotor_speeds(
         )
     raise DataError(
         f"{name} has {', '.join(flight.quantities)}. Wanted rotor speeds, motor commands, or commanded thrust and "
-        "torque; log them."
+        f"torque; {instead_of_missing(flight)}."
     )
+
+
+def instead_of_missing(flight: Flight) -> str:
+    """Advice on rotors that a flight lacks: to name those that its log holds unnamed, or to log them."""
+    candidates = flight.provenance.candidates(WRENCH)
+    if not candidates:
+        return "log them"
+    listed = "; ".join(map(str, candidates))
+    return f"the log may hold them unnamed: {listed}. To use them, {unused_rotors(flight.provenance.format)}"
 
 
 def _speeds(quantity: str, values: Floats, rotors: Rotors) -> Floats:

@@ -144,10 +144,17 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
             console.print(
                 f"[{COLOURS[finding.severity]}]{finding.severity}[/]: {finding.text}{advice}", highlight=False
             )
+    for text in inspection.inferences:
+        console.print(f"understood: {text}", style="dim", highlight=False, markup=False)
+    for unused in inspection.unused:
+        is_named = any(str(unused) in finding.text for finding in inspection.findings)
+        if (unused.moves or everything) and not is_named:
+            console.print(f"also logged: {unused}", style="dim", highlight=False, markup=False)
     _print_effects(inspection, console)
     if everything:
         _print_excitation(inspection, console)
-    for text in (*inspection.notes, *map(str, inspection.repairs)) if everything else ():
+    notes = (note for note in inspection.notes if note not in inspection.inferences)
+    for text in (*notes, *map(str, inspection.repairs)) if everything else ():
         console.print(f"note: {text}", style="dim", highlight=False, markup=False)
 
 

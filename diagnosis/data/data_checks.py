@@ -8,15 +8,16 @@ import numpy as np
 
 from diagnosis.data.filters import difference
 from diagnosis.data.rotor_moments import require_rotor_moments
+from diagnosis.data.rotor_units import misread_rotors, misread_text, reading_shares, specific_thrust, unit_of
 from diagnosis.data.segment import Segment
 from diagnosis.data.sensor_checks import require_range, require_velocity
 from diagnosis.thresholds import DEFAULT, DataChecks, Thresholds
-from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.rotor_places import rotor_names
-from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY, Vehicle
 from flights.quality.findings import Finding
+
+MIN_FOR_UNITS = 5.0  # s of flight that tell a unit
 
 
 def require_answerable(
@@ -28,6 +29,8 @@ def require_answerable(
     """
     limits = thresholds.data_checks
     duration = sum(s.duration for s in segments)
+    if duration >= MIN_FOR_UNITS:  # longer flights would have the same units
+        _require_thrust(segments, vehicle, limits)
     if duration < limits.min_duration:
         raise DataError(
             f"{duration:.0f} s of flight are too short to tell effects apart. Fly {limits.min_duration:.0f} s or more."
@@ -37,7 +40,6 @@ def require_answerable(
     require_velocity(segments, limits)
     require_range(segments, limits)
     _require_live_rotors(segments, vehicle, limits)
-    _require_thrust(segments, vehicle, limits)
     return require_rotor_moments(segments, vehicle, thresholds.rotor_moments)
 
 
@@ -45,7 +47,7 @@ def _require_motion(segments: Sequence[Segment], limits: DataChecks) -> None:
     body_rate = np.vstack([s.low_pass(s.body_rate) for s in segments])
     rate = float(np.sqrt(np.mean(np.sum(body_rate**2, axis=1))))
     if all("velocity" in s.lacks for s in segments):
-        change = float(np.std(np.concatenate([s.low_pass(_specific_thrust(s)) for s in segments])))
+        change = float(np.std(np.concatenate([s.low_pass(specific_thrust(s)) for s in segments])))
         gentle, motion = change < limits.min_thrust_change, f"{change:.2f} m/s^2 of change in thrust"
     else:
         velocity = np.vstack([s.velocity[:, :2] for s in segments])  # climbing alone shows few effects
@@ -96,25 +98,23 @@ def _require_live_rotors(segments: Sequence[Segment], vehicle: Vehicle, limits: 
 
 def _require_thrust(segments: Sequence[Segment], vehicle: Vehicle, limits: DataChecks) -> None:
     modelled = np.concatenate([s.rotor_speed**2 @ vehicle.rotors.allocation[0] for s in segments])
-    needed = np.concatenate([_specific_thrust(s) for s in segments]) * vehicle.body.mass
+    needed = np.concatenate([specific_thrust(s) for s in segments]) * vehicle.body.mass
     ratio = float(np.mean(modelled) / np.mean(needed))
     low, high = limits.thrust_ratio
     if low <= ratio <= high:
         return
     hint = "Check mass, thrust_constant and that the file is this vehicle's."
-    if low <= ratio * RPM**2 <= high:
-        hint = "The ratio is that of rpm to rad/s: the log's rotor speeds are in rpm, or thrust_constant is per rpm^2."
-    elif low <= ratio / RPM**2 <= high:
-        hint = "The ratio is that of rad/s to rpm: thrust_constant is per (rad/s)^2, or the speeds are in rad/s twice."
+    if segments[0].rotor_source == "measured" and ratio > 0.0:
+        shares = reading_shares(segments, vehicle)
+        wrong = [] if shares is None else misread_rotors(shares)
+        if shares is not None and wrong:
+            raise DataError(
+                f"{misread_text(shares, wrong, vehicle)}: their measurement is wrong (rotor_speed_fault). Check their "
+                "ESCs' telemetry and pole count, or log the motor commands beside the speeds."
+            )
+        factor = float(np.sqrt(ratio))
+        hint = f"The rotor speeds are {factor:.3g} times what the thrust needs: {unit_of(factor)}. {hint}"
     raise DataError(
         f"with this vehicle file the rotors give {ratio:.3g} times the thrust that the motion needs; wanted "
         f"{low:.1f} to {high:.1f}. {hint}"
     )
-
-
-def _specific_thrust(segment: Segment) -> Floats:
-    """(n,) specific force along body z that the motion has, m/s^2."""
-    if segment.specific_force is not None:
-        return np.asarray(segment.specific_force[:, 2])
-    world = segment.low_pass(difference(segment.velocity, segment.rate)) + np.array([0, 0, GRAVITY])
-    return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world))

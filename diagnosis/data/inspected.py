@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from diagnosis.data.rotor_moments import compared_moments, rotor_gains
+from diagnosis.data.rotor_units import misread_rotors, misread_text, reading_shares
 from diagnosis.data.segment import Segment, battery_is_measured, segments
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError
@@ -54,6 +55,12 @@ def inspected(
         for rotor in uneven_rotors(parts):
             if not rotor.as_commanded:
                 uneven.setdefault(rotor.rotor, []).append((flight, rotor))
+    if len(uneven) > 1 and (misread := _misread(uneven, vehicle, thresholds)):
+        finding = Finding("error", "rotor_speed_fault", misread, "check the ESCs' telemetry and their pole counts")
+        if not all(_commanded(flight) for flight in flights):
+            raise DataError(f"{misread}. Repair it, or log the motor commands beside the speeds, which are then used.")
+        others = (other for other in findings if other.name != finding.name)
+        return [_without_speeds(flight) for flight in flights], (finding, *others)
     doubted = [of_rotor[0] for of_rotor in uneven.values() if _is_wrong(of_rotor, vehicle, thresholds)]
     if not doubted:
         return list(flights), tuple(findings)
@@ -71,6 +78,26 @@ def _contradictions(flight: Flight, free: Sequence[Flight]) -> tuple[Contradicti
     present = [name for name in MOTION if flight.has(name)]
     streams = [Stream(name, flight.time, np.where(flying[:, None], flight[name], np.nan), "") for name in present]
     return plausibility.check(streams) if flying.any() else ()
+
+
+def _misread(
+    uneven: Mapping[int, Sequence[tuple[Flight, UnevenRotor]]], vehicle: Vehicle, thresholds: Thresholds
+) -> str:
+    """Which rotors' speeds are wrong, by weight and moments, where several are uneven; empty where these tell none.
+
+    Where two of four read otherwise, no majority of peers says which two.
+    """
+    names = {flight.provenance.path: flight for of_rotor in uneven.values() for flight, _ in of_rotor}
+    parts = [segment for flight in names.values() for segment in segments(flight, vehicle, thresholds)]
+    shares = reading_shares(parts, vehicle, thresholds.rotor_moments)
+    wrong = [] if shares is None else misread_rotors(shares)
+    if shares is None or not wrong:
+        return ""
+    cause = "their measurement is wrong (rotor_speed_fault)"
+    if max(shares[index] for index in wrong) > 1.0:
+        cause += ", or a propeller is damaged or lost"
+    files = ", ".join(Path(name).name for name in names)
+    return f"{files}: {misread_text(shares, wrong, vehicle)}: {cause}"
 
 
 def _is_wrong(of_rotor: Sequence[tuple[Flight, UnevenRotor]], vehicle: Vehicle, thresholds: Thresholds) -> bool:

@@ -43,6 +43,19 @@ def faster_rotors(form: str, parameters: Mapping[str, float]) -> str:
     return advice
 
 
+UNUSED_ROTORS: Mapping[str, str] = {
+    "PX4 ULog": "name the motors' outputs by PWM_MAIN_FUNCn, PWM_AUX_FUNCn or UAVCAN_EC_FUNCn, or the vehicle by "
+    "MAV_TYPE, and fly again; or write the flight as a table with these columns",
+    "ArduPilot DataFlash log": "name the motors' outputs by SERVOn_FUNCTION 33 to 40 and fly again, or write the "
+    "flight as a table with these columns",
+}
+
+
+def unused_rotors(form: str) -> str:
+    """How rotors are made of numbers that a log of this format holds and nothing names."""
+    return UNUSED_ROTORS.get(form, "name them in a column mapping (--mapping), with their unit and order")
+
+
 def measured_speeds(form: str) -> str:
     """How to get measured rotor speeds; empty for a format without advice."""
     return MEASURED_SPEEDS.get(form, "")

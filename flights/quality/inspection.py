@@ -17,7 +17,7 @@ from flights.assembly import EMPTY
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
-from flights.log import Log, Repair
+from flights.log import Log, Repair, UnusedStream
 from flights.pose_source import PoseSource
 from flights.quality import advice
 from flights.quality.channels import Channel, channel_findings, channels_of
@@ -26,7 +26,7 @@ from flights.quality.findings import Finding
 from flights.quality.identifiable import EffectAnswer, answers
 from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
-from flights.quantities import MOTION, RESET_COUNTERS
+from flights.quantities import MOTION, PRIMARY, RESET_COUNTERS
 from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
@@ -51,6 +51,8 @@ class Inspection(msgspec.Struct, frozen=True):
     delays: of streams and of responses.
     pose_source: whether the pose is motion capture's or an estimator's, as far as the log tells.
     excitation, coverage: how much the flight moves, and where its time was spent.
+    unused: numbers of the log that may be one of a flight's quantities and are not used as one.
+    inferences: those of the notes on ranges, units and orders as they were understood, and on what that rests.
     """
 
     path: str
@@ -72,6 +74,8 @@ class Inspection(msgspec.Struct, frozen=True):
     advice: tuple[str, ...]
     notes: tuple[str, ...]
     repairs: tuple[Repair, ...]
+    unused: tuple[UnusedStream, ...] = ()
+    inferences: tuple[str, ...] = ()
 
 
 def inspect_log(path: str | Path, *, mapping: str | Path | None = None) -> Inspection:
@@ -94,6 +98,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     findings = [
         *_framed(log),
         *_actuation(log),
+        *_accelerations(log),
         *_empty(log),
         *_amount(measured, log),
         *_clocks(delays),
@@ -102,7 +107,8 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
         *imbalance_findings(log, flying),
         *channel_findings(log, flying),
     ]
-    effects = answers(_trusted(usable, findings), measured, catalogue, untrusted=_untrusted(findings))
+    untrusted = _untrusted(findings) | _unused(log)
+    effects = answers(_trusted(usable, findings), measured, catalogue, untrusted=untrusted)
     verdict = _verdict(findings, effects)
     return Inspection(
         path=log.provenance.path,
@@ -124,6 +130,8 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
         advice=tuple(dict.fromkeys(f.advice for f in findings if f.advice and f.severity != "note")),
         notes=log.provenance.notes,
         repairs=log.provenance.repairs,
+        unused=log.provenance.unused,
+        inferences=log.provenance.inferences,
     )
 
 
@@ -154,6 +162,12 @@ def _untrusted(findings: Sequence[Finding]) -> dict[str, str]:
     return {"battery_voltage": "which is logged but stands still"} if _is_battery_frozen(findings) else {}
 
 
+def _unused(log: Log) -> dict[str, str]:
+    """Why a quantity is not used that the log may hold, by quantity."""
+    names = {unused.quantity for unused in log.provenance.candidates(PRIMARY)} - set(log.names)
+    return dict.fromkeys(names, "which this log may hold and does not name")
+
+
 def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
     return any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
 
@@ -169,6 +183,10 @@ def _actuation(log: Log) -> list[Finding]:
     form, parameters = log.provenance.format, log.parameters
     rates = {name: stream.rate for name in WRENCH if (stream := log.stream(name)) is not None}
     faster = advice.faster_rotors(form, parameters)
+    candidates = log.provenance.candidates(WRENCH)
+    if not rates and candidates:
+        text = f"no rotor speeds or commands are used of this log, though it may hold them: {_named(candidates)}"
+        return [Finding("error", "rotors_unused", text, advice.unused_rotors(form), fatal=True)]
     if not rates:
         text = "neither rotor speeds nor commands are in this log"
         return [Finding("error", "no_rotors", text, faster, fatal=True)]
@@ -198,6 +216,20 @@ def _actuation(log: Log) -> list[Finding]:
             )
         )
     return findings
+
+
+def _named(candidates: Sequence[UnusedStream]) -> str:
+    return "; ".join(map(str, candidates))
+
+
+def _accelerations(log: Log) -> list[Finding]:
+    """Accelerations that are in the log and not used, where none are."""
+    candidates = log.provenance.candidates(("specific_force",))
+    if not candidates or log.stream("specific_force") is not None:
+        return []
+    text = f"no specific force is used of this log, though it may hold one: {_named(candidates)}"
+    advised = "log it calibrated and in the body's axes, or write a table with a column mapping"
+    return [Finding("warning", "force_unused", text, advised)]
 
 
 def _empty(log: Log) -> list[Finding]:

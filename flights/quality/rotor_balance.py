@@ -54,8 +54,11 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
     """Speeds of single rotors that cannot be true. segments: of free flight."""
     if not segments or not segments[0].has("rotor_speed"):
         return []
-    findings = []
-    for uneven in uneven_rotors(segments):
+    findings: list[Finding] = []
+    every = uneven_rotors(segments)
+    if sum(not uneven.as_commanded for uneven in every) > 1:
+        return [_disagreement(segments)]
+    for uneven in every:
         rotor, share = uneven.rotor, uneven.share
         if uneven.as_commanded:
             text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as commanded"
@@ -68,6 +71,20 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
         agree = "and no command explains it" if uneven.as_commanded is None else "while its command is as theirs"
         findings.append(_fault(rotor, f"reads {share:.2f} times the speed of its peers, {agree}"))
     return findings or _dropouts(segments)
+
+
+def _disagreement(segments: Sequence[Flight]) -> Finding:
+    """Several rotors that differ: of two against two no majority says which are wrong."""
+    mean = _means(np.concatenate([segment["rotor_speed"] for segment in segments]))
+    ratios = ", ".join(f"{share:.2f}" for share in mean / np.max(mean[np.isfinite(mean)]))
+    return Finding(
+        "error",
+        "rotor_speed_fault",
+        f"the rotors' speeds are in the ratio {ratios}, and no command explains it: several measurements are wrong, "
+        "and no majority tells which",
+        "compare the flight with its vehicle file, whose weight and moments tell which (`alula diagnose`); check the "
+        "ESCs' telemetry, pole counts and mapping to the motors",
+    )
 
 
 def _fault(rotor: int, evidence: str) -> Finding:
@@ -106,10 +123,15 @@ def _reads_zero(flight: Flight, rotor: int) -> np.ndarray:
     return np.asarray((speed[:, rotor] < 1.0) & (np.median(others, axis=1) > 50.0))
 
 
+def _means(values: Floats) -> Floats:
+    """Each column's mean size, NaN where it has no value. values: (n, k)."""
+    columns = [np.abs(column[np.isfinite(column)]) for column in values.T]
+    return np.array([column.mean() if len(column) else np.nan for column in columns])
+
+
 def _share_of_peers(values: Floats) -> Floats:
     """Each column's mean over the median of the others' means; 1 where it is undefined."""
-    columns = [np.abs(column[np.isfinite(column)]) for column in values.T]
-    mean = np.array([column.mean() if len(column) else np.nan for column in columns])
+    mean = _means(values)
     peers = np.array([np.median(np.delete(mean, k)) if len(mean) > 1 else np.nan for k in range(len(mean))])
     valid = np.isfinite(mean) & np.isfinite(peers) & (peers > 0)
     return np.asarray(np.divide(mean, peers, out=np.ones_like(mean), where=valid))

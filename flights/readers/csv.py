@@ -19,6 +19,7 @@ from dynamics.spelling import nearest
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.quantities import PRIMARY, QUANTITIES, all_parts, known_columns, quantity_of
+from flights.readers.unnamed_columns import columns_of, keep_unnamed, unnamed_columns
 from flights.source import Source, TimeSpan
 from flights.tables import TIME
 
@@ -88,9 +89,11 @@ def read(source: Source) -> LogContent:
     def numbers(used: Sequence[str]) -> dict[str, Floats]:
         return read_columns(source.file, layout, used, assembly)
 
-    columns = readable_columns(numbers, *needed_columns(names), assembly)
+    unnamed = unnamed_columns(names, [name for name in names if quantity_of(name) is not None])
+    columns = readable_columns(numbers, *needed_columns(names), assembly, columns_of(unnamed))
     if len(columns[TIME]):
         add_table(assembly, columns, names)
+        keep_unnamed(assembly, unnamed, columns)
     return assembly.finish(keep_time=True)
 
 
@@ -109,15 +112,20 @@ def readable_columns(
     primary: Sequence[str],
     secondary: Mapping[str, Sequence[str]],
     assembly: Assembly,
+    unnamed: Sequence[str] = (),
 ) -> dict[str, Floats]:
     """Columns by name, without the secondary quantities whose own cannot be read.
 
     read: the columns of given names. primary: names, that of the time first. secondary: names by quantity.
+    unnamed: names of columns that are no flight's, read where they are numbers.
     Raises DataError where a primary one cannot be read.
     """
+    named = [*primary, *chain.from_iterable(secondary.values())]
     try:
-        return read([*primary, *chain.from_iterable(secondary.values())])
+        return read([*named, *unnamed])
     except DataError:
+        if unnamed:
+            return readable_columns(read, primary, secondary, assembly)
         columns = read(primary)
     for quantity, names in secondary.items():
         try:

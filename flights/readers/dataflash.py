@@ -11,19 +11,15 @@ from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
-from dynamics.autopilot_frames import FRAMES, QUAD_X_ORDER, ardupilot_frame
-from dynamics.units import RPM
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers.dataflash_messages import Messages, read_messages
-from flights.readers.px4_rotors import in_our_order
+from flights.readers.dataflash_rotors import MESSAGES, add_rotors
 from flights.source import Source
 
 # the message with which every log begins: FMT (128), which describes itself as 89 bytes long
 _MAGIC = b"\xa3\x95\x80\x80\x59FMT\0"
-_PWM_LOW, _PWM_HIGH = 1000.0, 2000.0  # microseconds, ArduPilot's MOT_PWM_MIN and MAX by default
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100, for clocks that count from 1970
-_MOTOR_1 = 33  # SERVOn_FUNCTION
 
 # Message to its fields; instances other than the first are left out where the message has an instance field.
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -34,7 +30,6 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "ATT": ("Roll", "Pitch", "Yaw"),
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "RATE": ("RDes", "PDes", "YDes"),
-    "RCOU": ("C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8"),
     "BAT": ("Volt", "Curr"),
     "CURR": ("Volt", "Curr"),
     "ARM": ("ArmState",),
@@ -56,7 +51,7 @@ def is_text(source: Source) -> bool:
 def read(source: Source) -> LogContent:
     """The streams of a DataFlash log; damaged messages are skipped and counted."""
     assembly = Assembly()
-    content = read_messages(source.file, {*_FIELDS, "PARM", "ESC"})
+    content = read_messages(source.file, {*_FIELDS, *MESSAGES, "PARM", "ESC", "ACC"})
     for name, value in _parameters(content.messages.get("PARM")):
         assembly.parameters[name] = value
     timed = {kind: _timed(kind, rows, assembly) for kind, rows in content.messages.items() if kind != "PARM"}
@@ -72,7 +67,7 @@ def read(source: Source) -> LogContent:
     collected = {kind: _first_instance(rows) for kind, rows in timed.items() if rows is not None}
     collected = {kind: rows for kind, rows in collected.items() if len(rows.rows)}
     _add_streams(assembly, collected)
-    _add_rotors(assembly, collected, {} if speeds is None else _by_esc(speeds))
+    add_rotors(assembly, collected, {} if speeds is None else _by_esc(speeds))
     return assembly.finish()
 
 
@@ -92,9 +87,19 @@ def _timed(kind: str, rows: Messages, assembly: Assembly) -> Messages | None:
 
 
 def _first_instance(rows: Messages) -> Messages:
-    """The messages of a sensor's first instance."""
-    others = [rows.integers(name) != 0 for name in _INSTANCES if rows.has(name)]
-    return rows.of(~np.any(others, axis=0)) if others else rows
+    """The messages of a sensor's first instance that was logged."""
+    for name in _INSTANCES:
+        if rows.has(name):
+            instances = rows.integers(name)
+            numbers = _usual(instances)
+            rows = rows.of(instances == numbers[0]) if len(numbers) else rows
+    return rows
+
+
+def _usual(instances: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of the instances that were logged, in order: a damaged number is a rare one."""
+    numbers, counts = np.unique(instances, return_counts=True)
+    return np.asarray(numbers[2 * counts >= counts.max(initial=0)])
 
 
 def _table(rows: Messages, kind: str) -> Floats:
@@ -106,16 +111,7 @@ def _by_esc(rows: Messages) -> dict[int, Messages]:
     if not rows.has("Instance"):
         return {}
     instances = rows.integers("Instance")
-    numbers, counts = np.unique(instances, return_counts=True)
-    usual = numbers[2 * counts >= counts.max(initial=0)]  # a damaged number is a rare one
-    return {int(number): rows.of(instances == number) for number in usual}
-
-
-def _nearest(rows: Messages, field: str, stamps: NDArray[np.int64]) -> Floats:
-    """(n,) a field at the messages that are nearest to stamps (n,), of which some may be lost."""
-    own = np.maximum.accumulate(rows.integers("TimeUS"))
-    middles = own[:-1] + np.diff(own) // 2
-    return rows.numbers(field)[np.searchsorted(middles, stamps)]
+    return {int(number): rows.of(instances == number) for number in _usual(instances)}
 
 
 def _add_streams(assembly: Assembly, collected: Mapping[str, Messages]) -> None:
@@ -141,6 +137,10 @@ def _add_streams(assembly: Assembly, collected: Mapping[str, Messages]) -> None:
         time, table, kind = samples
         assembly.add("rate", time, frames.flu_from_frd(table[:, :3]), kind)
         assembly.add("specific_force", time, frames.flu_from_frd(table[:, 3:]), kind)
+    elif (raw := collected.get("ACC")) is not None and raw.has("AccX"):
+        force = np.stack([raw.numbers(f"Acc{axis}") for axis in "XYZ"], axis=1)
+        reason = "they are one sensor's before filters and calibration; log IMU"
+        assembly.leave_out("specific_force", "ACC", ["AccX", "AccY", "AccZ"], force, reason)
     if samples := rows("RATE"):
         time, table, kind = samples
         assembly.add("rate_setpoint", time, frames.flu_from_frd(np.radians(table)), kind)
@@ -151,30 +151,3 @@ def _add_streams(assembly: Assembly, collected: Mapping[str, Messages]) -> None:
     if samples := rows("ARM"):
         time, table, kind = samples
         assembly.add("armed", time, table[:, 0] != 0, kind)
-
-
-def _add_rotors(assembly: Assembly, collected: Mapping[str, Messages], speeds: Mapping[int, Messages]) -> None:
-    parameters = assembly.parameters
-    frame = ardupilot_frame(int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", -1)))
-    order = QUAD_X_ORDER if frame is not None and FRAMES[frame].order == QUAD_X_ORDER else None
-    named = (frame or "").replace("_", " ")
-    assembly.note(f"motors put in our order as ArduPilot's {named}" if order else "motors left in ArduPilot's order")
-    if "RCOU" in collected:
-        low, high = parameters.get("MOT_PWM_MIN", _PWM_LOW), parameters.get("MOT_PWM_MAX", _PWM_HIGH)
-        channels = {
-            int(parameters.get(f"SERVO{channel}_FUNCTION", 0)) - _MOTOR_1: channel - 1 for channel in range(1, 9)
-        }
-        motors = [channels[motor] for motor in range(8) if motor in channels]
-        if motors:
-            pulses = _table(collected["RCOU"], "RCOU")[:, motors]
-            command = np.clip((pulses - low) / (high - low), 0.0, 1.0)
-            time = assembly.seconds(collected["RCOU"].integers("TimeUS"), 1_000_000)
-            assembly.add("rotor_command", time, in_our_order(command, order), "RCOU")
-        else:
-            assembly.note("no SERVOn_FUNCTION names the motors' outputs: RCOU is left out")
-    if speeds and sorted(speeds) == list(range(len(speeds))):
-        stamps = speeds[0].integers("TimeUS")
-        time = assembly.seconds(stamps, 1_000_000)
-        rpm = np.stack([_nearest(speeds[esc], "RPM", stamps) for esc in sorted(speeds)], axis=1)
-        assembly.note("the ESCs report one after the other: their speeds share the first one's time stamps")
-        assembly.add("rotor_speed", time, in_our_order(rpm * RPM, order), "ESC")

@@ -20,6 +20,7 @@ from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
 from flights.quantities import PRIMARY
 from flights.readers import csv, parquet
+from flights.readers.unnamed_columns import columns_of, keep_unnamed, unnamed_columns
 from flights.source import Source
 
 _MAX_LINE = 60_000
@@ -64,13 +65,15 @@ def read(source: Source) -> LogContent:
     if mapping.pose:
         assembly.metadata[pose_source.KEY] = mapping.pose
     assembly.note(f"columns by the mapping {mapping.name!r}")
-    columns = _columns(source, names, mapping, assembly)
+    unnamed = unnamed_columns(names, mapping.columns)
+    columns = _columns(source, names, mapping, assembly, columns_of(unnamed))
     time = _time(columns[mapping.time.column], mapping)
     for stream in mapping.streams:
         if not columns.keys() >= set(stream.columns):
             continue
         values = np.stack([columns[column] for column in stream.columns], axis=1)
         assembly.add(stream.quantity, time, _converted(values, stream, mapping), ", ".join(stream.columns))
+    keep_unnamed(assembly, unnamed, columns)
     return assembly.finish()
 
 
@@ -81,7 +84,9 @@ def _shipped_for(source: Source) -> Mapping | None:
     return None
 
 
-def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
+def _columns(
+    source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly, unnamed: Sequence[str]
+) -> dict[str, Floats]:
     needed = {name for stream in mapping.streams if stream.quantity in PRIMARY for name in stream.columns}
     primary = [mapping.time.column, *(name for name in dict.fromkeys(mapping.columns) if name in needed)]
     secondary: dict[str, list[str]] = {}
@@ -100,7 +105,7 @@ def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly:
             return parquet.read_columns(source, used, cut)
         return csv.read_columns(source.file, layout, used, assembly)
 
-    return csv.readable_columns(numbers, primary, secondary, assembly)
+    return csv.readable_columns(numbers, primary, secondary, assembly, unnamed)
 
 
 def _time(values: Floats, mapping: Mapping) -> Floats:

@@ -13,7 +13,8 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.units import RPM
 from flights.assembly import Assembly
-from flights.readers.px4_rotors import QUAD_X, QUADROTOR, commands_of_pulses, in_our_order, join_groups
+from flights.movement import moving_columns
+from flights.readers.px4_rotors import QUAD_X, QUADROTOR, add_servo_outputs, in_our_order, join_groups
 
 # Upstream's ESC_STATUS, which pymavlink's definitions lack: payload as it travels, and its CRC_EXTRA.
 ESC_STATUS = np.dtype(
@@ -156,18 +157,36 @@ def _highres_imu(assembly: Assembly, rows: Received) -> None:
 
 
 def _servo_output(assembly: Assembly, rows: Received) -> None:
-    pulses = rows.stack(*(f"servo{motor}_raw" for motor in range(1, 9)))
-    command, note = commands_of_pulses(pulses)
-    assembly.note(note)
-    if command.shape[1]:
-        assembly.add("rotor_command", rows.time, command, "SERVO_OUTPUT_RAW")
+    """Outputs of the first port whose outputs move. The message has one port's at a time."""
+    ports = np.unique(rows["port"]) if "port" in (rows.fields.dtype.names or ()) else np.zeros(1)
+    names = [name for n in range(1, 17) if (name := f"servo{n}_raw") in (rows.fields.dtype.names or ())]
+    parts = [Received(rows.time[own], rows.fields[own]) for port in ports if (own := _of_port(rows, port)).any()]
+    moving = [part for part in parts if moving_columns(part.stack(*names))]
+    used = (moving or parts)[0]
+    add_servo_outputs(assembly, used.time, used.stack(*names), "SERVO_OUTPUT_RAW")
+    for part in parts:
+        if part is not used:
+            fields = [f"output[{column}]" for column in range(len(names))]
+            reason = "the motors are read from another port"
+            assembly.leave_out("rotor_command", "SERVO_OUTPUT_RAW", fields, part.stack(*names), reason)
+
+
+def _of_port(rows: Received, port: float) -> NDArray[np.bool_]:
+    if "port" not in (rows.fields.dtype.names or ()):
+        return np.ones(len(rows.time), dtype=bool)
+    return np.asarray(rows["port"] == port)
 
 
 def _esc_status(assembly: Assembly, rows: Received) -> None:
     time, rpm = join_groups(rows.time, rows["index"], np.abs(rows["rpm"]))
+    if not np.any(rpm):
+        fields = [f"rpm[{column}]" for column in range(rpm.shape[1])]
+        assembly.leave_out("rotor_speed", "ESC_STATUS", fields, rpm, "no ESC ever turns")
+        assembly.note("ESC_STATUS: no ESC ever turns, so its speeds are left out")
+        return
     order = QUAD_X if rpm.shape[1] == len(QUAD_X) else None
-    assembly.note(
-        "rotor speeds are ESC_STATUS's, ESC n taken for motor n"
+    assembly.infer(
+        "rotor speeds are ESC_STATUS's, taken for rpm of the rotor, ESC n taken for motor n"
         + (" and put in our order as PX4's quad x" if order else f", {rpm.shape[1]} motors left in their order")
     )
     assembly.add("rotor_speed", time, in_our_order(rpm * RPM, order), "ESC_STATUS")

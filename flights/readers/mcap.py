@@ -19,7 +19,7 @@ from dynamics.mcap_chunks import records_of
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers import rosbag
-from flights.readers.px4_rotors import QUAD_X, commands_of_pulses, in_our_order, join_groups
+from flights.readers.px4_rotors import QUAD_X, add_servo_outputs, in_our_order, join_groups
 from flights.source import Source, TimeSpan
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -191,10 +191,7 @@ def _add_motors(assembly: Assembly, rows: _Collected) -> None:
     time, pulses = np.array(rows.time), np.array(rows.fields["pulse"])
     if not len(time) or len(pulses) % len(time):
         return
-    command, note = commands_of_pulses(pulses.reshape(len(time), -1))
-    assembly.note(note)
-    if command.shape[1]:
-        assembly.add("rotor_command", time, command, "/motors")
+    add_servo_outputs(assembly, time, pulses.reshape(len(time), -1), "/motors")
 
 
 def _resumed(span: TimeSpan | None) -> tuple[dict[int, str], dict[str, str]]:

@@ -16,6 +16,7 @@ from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.quantities import quantity_of
 from flights.readers import csv
+from flights.readers.unnamed_columns import columns_of, keep_unnamed, unnamed_columns
 from flights.source import Source
 from flights.tables import TIME, decode_notes
 
@@ -38,11 +39,16 @@ def read(source: Source) -> LogContent:
             "as position_x. Rename them, or give a column mapping."
         )
     cut = None if source.span is None else csv.Cut(source.span, TIME)
-    columns = csv.readable_columns(lambda some: read_columns(source, some, cut), *csv.needed_columns(names), assembly)
+    unnamed = unnamed_columns(names, used)
+    primary, secondary = csv.needed_columns(names)
+    columns = csv.readable_columns(
+        lambda some: read_columns(source, some, cut), primary, secondary, assembly, columns_of(unnamed)
+    )
     with _opened(source) as file:
         notes = decode_notes(file.schema_arrow.metadata)
     if len(columns[TIME]):
         csv.add_table(assembly, columns, names)
+        keep_unnamed(assembly, unnamed, columns)
     if notes is not None:
         assembly.metadata |= notes.metadata
         assembly.parameters |= notes.parameters

@@ -1,19 +1,21 @@
-"""PX4's motor numbers in our rotor order, from the geometry in the log."""
+"""PX4's motor numbers in our rotor order, from the geometry in the log, and its outputs on the link."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.autopilot_frames import QUAD_X_ORDER
+from flights.assembly import Assembly
+from flights.movement import moving_columns
+from flights.rotor_ranges import PX4_KINDS, infer_range
 
 QUADROTOR = 2  # MAV_TYPE
 QUAD_X = QUAD_X_ORDER  # PX4's motor 1 is front right, 2 back left, 3 front left, 4 back right
 FIRST_MOTOR_FUNCTION, LAST_MOTOR_FUNCTION = 101, 112
-_PWM_LOW, _PWM_SPAN = 1000.0, 1000.0  # microseconds of a motor at rest and its range
-_UNUSED_PWM = 800.0  # below: the channel is not used
+_COUNTS = (8, 6, 4)  # rotors of usual multirotors
 _QUADRANTS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of our rotors 0 to 3: signs of x forward and y left
 
 
@@ -46,20 +48,36 @@ def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
     return motors[:, list(order)]
 
 
-def commands_of_pulses(pulses: Floats) -> tuple[Floats, str]:
-    """Rotor commands 0..1 of SERVO_OUTPUT_RAW's pulses in us, and a note; no columns when no pulse ever changes.
+def add_servo_outputs(assembly: Assembly, time: Floats, outputs: Floats, source: str) -> None:
+    """Add rotor commands of SERVO_OUTPUT_RAW's outputs as PX4 writes them, in our order if there are four.
 
-    pulses: (n, outputs). Returns (n, k), in our order if there are four.
+    time: (n,) s. outputs: (n, outputs). Those that move and are no motors are kept as unused.
     """
-    used = int(np.count_nonzero((pulses > _UNUSED_PWM).any(axis=0) & (np.ptp(pulses, axis=0) > 0)))
-    if used == 0:
-        return np.zeros((len(pulses), 0)), "SERVO_OUTPUT_RAW never changes: no rotor commands from it"
-    command = np.clip((pulses[:, :used] - _PWM_LOW) / _PWM_SPAN, 0.0, 1.0)
-    order = QUAD_X if used == 4 else None
-    note = "rotor commands are SERVO_OUTPUT_RAW's pulses from 1000 to 2000 us, output n taken for motor n" + (
-        " and put in our order as PX4's quad x" if order else f", {used} motors left in their order"
-    )
-    return in_our_order(command, order), note
+    moving = moving_columns(outputs)
+    fields = [f"output[{column}]" for column in range(outputs.shape[1])]
+    motors = _first_run(moving)
+    ranged = infer_range(time, outputs[:, motors], (), PX4_KINDS) if motors else None
+    if ranged is None:
+        reason = "their range is none that is known" if motors else "none of them moves"
+        assembly.note(f"{source}: no rotor commands from it: {reason}")
+        assembly.leave_out("rotor_command", source, fields, outputs, reason)
+        return
+    order = QUAD_X if len(motors) == 4 else None
+    named = ", ".join(str(column + 1) for column in motors)
+    put = "put in our order as PX4's quad x" if order else "left in their order"
+    taken = f"taken for motors 1 to {len(motors)} and {put}"
+    assembly.infer(f"rotor commands are {source}'s outputs {named}, {taken}: {ranged}")
+    assembly.add("rotor_command", time, in_our_order(ranged.scaled(outputs[:, motors]), order), source)
+    others = [column for column in moving if column not in motors]
+    if others:
+        left = [fields[column] for column in others]
+        assembly.leave_out("rotor_command", source, left, outputs[:, others], "they are not beside the motors' outputs")
+
+
+def _first_run(columns: Sequence[int]) -> list[int]:
+    """The first columns that lie side by side, and as many as a multirotor has rotors where there are that many."""
+    run = [column for place, column in enumerate(columns) if column == columns[0] + place]
+    return run[: next((count for count in _COUNTS if count <= len(run)), len(run))]
 
 
 def join_groups(time: Floats, first: Floats, speed: Floats) -> tuple[Floats, Floats]:

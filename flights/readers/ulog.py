@@ -34,6 +34,7 @@ _HEADER_BYTES = 16
 _MAX_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _ARMED_STATE = 2
+_FAR_FASTER = 2.0  # times the samples of the usual source, from which another one is used before it
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
 # vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
 _VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
@@ -42,7 +43,8 @@ _EXTERNAL = ("vehicle_visual_odometry", "vehicle_mocap_odometry")
 _EXTERNAL_AIDING = {"EKF2_EV_CTRL": 0b1111, "EKF2_AID_MASK": 0b1_0001_1000}
 _TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
-    "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
+    "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration",
+    "vehicle_imu", "sensor_accel", "actuator_armed", "vehicle_status", "vehicle_land_detected",
     "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
     "vehicle_rates_setpoint", "vehicle_mocap_odometry", "vehicle_gps_position", "sensor_gps",
     *ulog_rotors.TOPICS, *(old for names in TOPIC_ALIASES.values() for old in names),
@@ -219,15 +221,42 @@ def _rates(assembly: Assembly, topics: Topics) -> None:
 
 
 def _specific_force(assembly: Assembly, topics: Topics) -> None:
+    """Specific force of every topic that has it: sensor_combined first, unless another is logged far more often.
+
+    vehicle_acceleration is filtered, vehicle_imu holds means over its interval; both are calibrated, in body axes.
+    """
+    forces: list[tuple[Topic, Floats, Floats]] = []
     topic = topics.get("sensor_combined")
-    if topic is None or not topic.has("accelerometer_m_s2[0]"):
-        return
-    time, force = topic.time, frames.flu_from_frd(topic.array("accelerometer_m_s2", 3))
-    if topic.has("accelerometer_timestamp_relative"):
-        offset = topic["accelerometer_timestamp_relative"]
-        stamped = offset != _NO_OFFSET
-        time, force = (time + offset * 1e-6)[stamped], force[stamped]
-    assembly.add("specific_force", time, force, topic.name)
+    if topic is not None and topic.has("accelerometer_m_s2[0]"):
+        time, force = topic.time, topic.array("accelerometer_m_s2", 3)
+        if topic.has("accelerometer_timestamp_relative"):
+            offset = topic["accelerometer_timestamp_relative"]
+            stamped = offset != _NO_OFFSET
+            time, force = (time + offset * 1e-6)[stamped], force[stamped]
+        forces.append((topic, time, force))
+    topic = topics.get("vehicle_acceleration")
+    if topic is not None and topic.has("xyz[0]"):
+        forces.append((topic, topic.time, topic.array("xyz", 3)))
+    topic = topics.get("vehicle_imu")
+    if not forces and topic is not None and topic.has("delta_velocity[0]", "delta_velocity_dt"):
+        interval = topic["delta_velocity_dt"] * 1e-6
+        mean = topic.array("delta_velocity", 3) / np.where(interval > 0, interval, np.nan)[:, None]
+        forces.append((topic, topic.time - 0.5 * interval, mean))
+    usual = len(forces[0][1]) if forces else 0
+    forces.sort(key=lambda entry: -len(entry[1]) if len(entry[1]) > _FAR_FASTER * usual else 0)
+    for topic, time, force in forces:
+        assembly.add("specific_force", time, frames.flu_from_frd(force), topic.source)
+    if not forces:
+        _raw_sensors(assembly, topics)
+
+
+def _raw_sensors(assembly: Assembly, topics: Topics) -> None:
+    """Keep accelerometers before calibration and rotation, where the log has nothing else."""
+    for instance in topics.instances("sensor_accel"):
+        topic = topics.get("sensor_accel", instance)
+        if topic is not None and topic.has("x", "y", "z"):
+            reason = "they are one sensor's before calibration and the board's rotation; log sensor_combined"
+            assembly.leave_out("specific_force", topic.label, ["x", "y", "z"], topic.stack("x", "y", "z"), reason)
 
 
 def _odometry(assembly: Assembly, topics: Topics) -> None:

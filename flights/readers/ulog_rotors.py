@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.units import RPM
 from flights.assembly import Assembly
+from flights.movement import moving_columns
 from flights.readers.px4_rotors import (
     FIRST_MOTOR_FUNCTION,
     LAST_MOTOR_FUNCTION,
@@ -16,13 +18,16 @@ from flights.readers.px4_rotors import (
     in_our_order,
     rotor_order,
 )
+from flights.readers.ulog_outputs import OUTPUTS, motor_outputs
 from flights.readers.ulog_topics import Topic, Topics
+from flights.rotor_ranges import Thrust
 
-TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status")
+TOPICS = ("actuator_motors", OUTPUTS, "actuator_controls_0", "esc_status")
 
 THRUST_MODEL = "THR_MDL_FAC"  # share of a motor's thrust that PX4 takes to go with the square of its signal
 _ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
-_LOW_PWM, _HIGH_PWM = 1000.0, 2000.0  # PX4's defaults, microseconds
+_MAX_ESCS = 8
+_POLES = re.compile(r"MOT_POLE_COUNT|DSHOT_MOT_POL\d+")
 # PX4's quad x mixer, one row a motor: roll, pitch, yaw
 _QUAD_X_MIXER = np.array(
     [[-1.0, 1.0, np.sqrt(2)], [1.0, -1.0, np.sqrt(2)], [1.0, 1.0, -np.sqrt(2)], [-1.0, -1.0, -np.sqrt(2)]]
@@ -30,48 +35,87 @@ _QUAD_X_MIXER = np.array(
 
 
 def add_streams(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> None:
-    """Rotor speeds, and of all sources of rotor commands the fastest first. vehicle_type: MAV_TYPE."""
+    """Rotor speeds, and sources of rotor commands: first what moves, of that the fastest. vehicle_type: MAV_TYPE."""
     order, why = rotor_order(assembly.parameters, vehicle_type)
-    speeds = _esc_speeds(assembly, topics)
+    count = int(assembly.parameters.get("CA_ROTOR_COUNT", 0)) or _ROTORS_OF_TYPE.get(vehicle_type or 0, 0)
+    speeds = _esc_speeds(assembly, topics, count)
     if speeds is not None:
-        assembly.add("rotor_speed", speeds[0].time, in_our_order(speeds[1], order), "esc_status")
+        assembly.add("rotor_speed", speeds[0].time, in_our_order(speeds[1], order), speeds[0].source)
     factor = assembly.parameters.get(THRUST_MODEL, 0.0)
+    force = assembly.stream("specific_force")
+    thrust = None if force is None else Thrust(force.time, force.values[:, 2])
     commands = [
         source
         for source in (
-            _of_thrust(_motors(topics), factor, assembly),
-            _outputs(assembly, topics, vehicle_type),
+            _of_thrust(_motors(assembly, topics), factor, assembly),
+            motor_outputs(assembly, topics, count, thrust),
             _of_thrust(_mixed(assembly, topics, vehicle_type), factor, assembly),
         )
         if source is not None
     ]
-    for topic, motors in sorted(commands, key=lambda pair: -len(pair[0].time)):
-        assembly.add("rotor_command", topic.time, in_our_order(motors, order), topic.name)
+    for topic, motors in sorted(commands, key=lambda pair: (not moving_columns(pair[1]), -len(pair[0].time))):
+        assembly.add("rotor_command", topic.time, in_our_order(motors, order), topic.source)
     if speeds is not None or commands:
         assembly.note(why)
 
 
-def _esc_speeds(assembly: Assembly, topics: Topics) -> tuple[Topic, Floats] | None:
-    """Speeds by motor, rad/s; esc[i] is the motor that its actuator_function names."""
-    topic = topics.get("esc_status")
-    if topic is None or not topic.has("esc[0].esc_rpm"):
-        return None
-    present = [esc for esc in range(8) if topic.has(f"esc[{esc}].esc_rpm")]
-    functions = {esc: _function(topic, esc) for esc in present}
-    motors = {
-        function - FIRST_MOTOR_FUNCTION: esc
-        for esc, function in functions.items()
-        if FIRST_MOTOR_FUNCTION <= function <= LAST_MOTOR_FUNCTION
-    }
+def _esc_speeds(assembly: Assembly, topics: Topics, count: int) -> tuple[Topic, Floats] | None:
+    """Speeds by motor, rad/s, of the first instance whose ESCs turn; the others are kept as unused.
+
+    count: of rotors by the vehicle, 0 where it tells none.
+    """
+    chosen: tuple[Topic, Floats] | None = None
+    for instance in topics.instances("esc_status"):
+        topic = topics.get("esc_status", instance)
+        present = [esc for esc in range(_MAX_ESCS) if topic is not None and topic.has(f"esc[{esc}].esc_rpm")]
+        if topic is None or not present:
+            continue
+        rpm = np.abs(topic.stack(*(f"esc[{esc}].esc_rpm" for esc in present)))
+        turning = [present[column] for column in moving_columns(rpm)]
+        escs, reason = _escs_of_motors(topic, present, turning, count)
+        if escs is None or chosen is not None:
+            reason = reason or f"the speeds are read from {chosen[0].label if chosen else ''}"
+            assembly.leave_out("rotor_speed", topic.label, [f"esc[{esc}].esc_rpm" for esc in present], rpm, reason)
+            assembly.note(f"{topic.label}: {reason}, so its speeds are left out")
+            continue
+        chosen = topic, rpm[:, [present.index(esc) for esc in escs]] * RPM
+        poles = _poles(assembly.parameters)
+        named = reason or "the motor that its actuator_function names"
+        assembly.infer(f"rotor speeds are {topic.label}'s, taken for rpm of the rotor: esc n is {named}{poles}")
+    return chosen
+
+
+def _escs_of_motors(
+    topic: Topic, present: Sequence[int], turning: Sequence[int], count: int
+) -> tuple[list[int] | None, str]:
+    """The ESC of each motor with a word on how it is known, or None and why there are none."""
+    motors: dict[int, int] = {}
+    for esc in present:
+        function = _function(topic, esc)
+        if FIRST_MOTOR_FUNCTION <= function <= LAST_MOTOR_FUNCTION:
+            motors[function - FIRST_MOTOR_FUNCTION] = esc
+    if not turning:
+        return None, "no ESC ever turns"
     if not motors:
-        count = int(np.max(topic["esc_count"])) if topic.has("esc_count") else len(present)
-        motors = {esc: esc for esc in present[: count or len(present)]}
-        assembly.note("esc_status names no actuator_function: esc n is taken for motor n")
+        logged = int(np.max(topic["esc_count"])) if topic.has("esc_count") else 0
+        number = count or logged or len(present)
+        escs = list(present[:number])
+        if not set(turning) <= set(escs) and len(turning) in (count, number):  # what never turns is no motor
+            escs = list(turning)
+        elif not count:
+            escs = [esc for esc in escs if esc <= max(turning)]
+        return escs, "taken for motor n, as it names no actuator_function"
     if sorted(motors) != list(range(len(motors))):
-        assembly.note(f"esc_status has the motors {sorted(motors)} only, so its speeds are left out")
-        return None
-    rpm = np.stack([np.abs(topic[f"esc[{motors[motor]}].esc_rpm"]) for motor in range(len(motors))], axis=1)
-    return topic, rpm * RPM
+        return None, f"it has the motors {sorted(motors)} only"
+    return [motors[motor] for motor in range(len(motors))], ""
+
+
+def _poles(parameters: Mapping[str, float]) -> str:
+    """The magnets by which the autopilot made rotor speeds of electrical ones, for the note on them."""
+    poles = {int(value) for name, value in parameters.items() if _POLES.fullmatch(name) and value > 0}
+    if not poles:
+        return ""
+    return f"; the autopilot divides electrical speeds by {' or '.join(f'{n / 2:g}' for n in sorted(poles))} pole pairs"
 
 
 def _function(topic: Topic, esc: int) -> int:
@@ -79,15 +123,25 @@ def _function(topic: Topic, esc: int) -> int:
     return int(np.max(topic[field])) if topic.has(field) else 0
 
 
-def _motors(topics: Topics) -> tuple[Topic, Floats] | None:
-    """actuator_motors: 0..1 by motor, NaN for those that do not exist."""
-    topic = topics.get("actuator_motors")
-    if topic is None:
-        return None
-    control = topic.array("control", 12)
-    missing = np.flatnonzero(~np.isfinite(control).any(axis=0))
-    count = int(missing[0]) if len(missing) else control.shape[1]
-    return (topic, control[:, :count]) if count else None
+def _motors(assembly: Assembly, topics: Topics) -> tuple[Topic, Floats] | None:
+    """actuator_motors: 0..1 by motor, NaN for those that do not exist, of the first instance that moves."""
+    logged: list[tuple[Topic, Floats]] = []
+    for instance in topics.instances("actuator_motors"):
+        topic = topics.get("actuator_motors", instance)
+        if topic is None or not topic.has("control[0]", "control[11]"):
+            continue
+        control = topic.array("control", 12)
+        missing = np.flatnonzero(~np.isfinite(control).any(axis=0))
+        count = int(missing[0]) if len(missing) else control.shape[1]
+        if count:
+            logged.append((topic, control[:, :count]))
+    chosen = next((one for one in logged if moving_columns(one[1])), logged[0] if logged else None)
+    for topic, control in logged:
+        if chosen is not None and topic is not chosen[0]:
+            fields = [f"control[{motor}]" for motor in range(control.shape[1])]
+            reason = f"the motors are read from {chosen[0].label}"
+            assembly.leave_out("rotor_command", topic.label, fields, control, reason)
+    return chosen
 
 
 def _of_thrust(source: tuple[Topic, Floats] | None, factor: float, assembly: Assembly) -> tuple[Topic, Floats] | None:
@@ -107,65 +161,16 @@ def _of_thrust(source: tuple[Topic, Floats] | None, factor: float, assembly: Ass
     return topic, np.where(thrust > 0.0, signal, thrust)
 
 
-def _outputs(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:
-    """actuator_outputs as 0..1 by motor: pulses scaled by their limits, channels mapped by their function."""
-    for instance, port in ((0, "MAIN"), (1, "AUX")):
-        topic = topics.get("actuator_outputs", instance)
-        if topic is None:
-            continue
-        motors = _channels_of_motors(assembly, port)
-        if motors is None:
-            count = _ROTORS_OF_TYPE.get(vehicle_type or 0, 0)
-            motors = {motor: motor for motor in range(count)}
-            assembly.note(
-                "the log names no output functions: output n of actuator_outputs is taken for motor n"
-                if count
-                else "the log names neither output functions nor a multirotor: actuator_outputs is left out"
-            )
-        if not motors or sorted(motors) != list(range(len(motors))):
-            continue
-        columns = [_normalised(topic, motors[motor], port, assembly) for motor in range(len(motors))]
-        return topic, np.stack(columns, axis=1)
-    return None
-
-
-def _channels_of_motors(assembly: Assembly, port: str) -> dict[int, int] | None:
-    """Motor to output channel by PWM_<port>_FUNCn; None for firmware that has no such parameters."""
-    pattern = re.compile(rf"PWM_{port}_FUNC(\d+)$|HIL_ACT_FUNC(\d+)$")
-    functions = {name: value for name, value in assembly.parameters.items() if pattern.match(name)}
-    if not functions:
-        return None
-    return {
-        int(value) - FIRST_MOTOR_FUNCTION: int(next(filter(None, pattern.match(name).groups()))) - 1  # type: ignore[union-attr]
-        for name, value in functions.items()
-        if FIRST_MOTOR_FUNCTION <= value <= LAST_MOTOR_FUNCTION
-    }
-
-
-def _normalised(topic: Topic, channel: int, port: str, assembly: Assembly) -> Floats:
-    """One output, 0..1; simulators log that already."""
-    output = topic[f"output[{channel}]"]
-    if np.nanmax(np.abs(output), initial=0.0) <= 1.0:
-        return output
-    low = _limit(assembly, port, channel, "MIN", _LOW_PWM)
-    high = _limit(assembly, port, channel, "MAX", _HIGH_PWM)
-    return np.clip((output - low) / (high - low), 0.0, 1.0)
-
-
-def _limit(assembly: Assembly, port: str, channel: int, end: str, default: float) -> float:
-    for name in (f"PWM_{port}_{end}{channel + 1}", f"PWM_{port}_{end}", f"PWM_{end}"):
-        value = assembly.parameters.get(name, -1.0)
-        if value > 0:
-            return value
-    return default
-
-
 def _mixed(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:
     """Rotor commands rebuilt from actuator_controls_0, which old logs hold at a far higher rate than the outputs."""
     topic = topics.get("actuator_controls_0")
-    if topic is None or vehicle_type != QUADROTOR or not topic.has("control[3]"):
+    if topic is None or not topic.has("control[3]"):
         return None
     control = topic.array("control", 4)
+    if vehicle_type != QUADROTOR:
+        reason = "they are roll, pitch, yaw and thrust before a mixer, which is known of a quadrotor alone"
+        assembly.leave_out("rotor_command", topic.label, [f"control[{n}]" for n in range(4)], control, reason)
+        return None
     mixed = control[:, 3:] + control[:, :3] @ _QUAD_X_MIXER.T
     assembly.note(
         "rotor commands from actuator_controls_0 are rebuilt by PX4's quad x mixer, without its handling of saturation"

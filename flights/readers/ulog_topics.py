@@ -40,8 +40,10 @@ TOPIC_ALIASES: Mapping[str, tuple[str, ...]] = {
 class Topic:
     """One topic's columns. time: (n,) s, of the sample where that was logged."""
 
-    def __init__(self, name: str, columns: Mapping[str, NDArray[Any]], time: Floats) -> None:
+    def __init__(self, name: str, columns: Mapping[str, NDArray[Any]], time: Floats, instance: int = 0) -> None:
         self.name = name
+        self.label = f"{name}[{instance}]"
+        self.source = self.label if instance else name
         self.time = time
         self._columns = columns
 
@@ -80,6 +82,10 @@ class Topics:
         for item in sorted(data, key=lambda item: item.data["timestamp"][0]):
             self._data.setdefault((current.get(item.name, item.name), item.multi_id), []).append(item)
 
+    def instances(self, name: str) -> list[int]:
+        """The instances of a topic that were logged, in order."""
+        return sorted(instance for topic, instance in self._data if topic == name)
+
     def get(self, name: str, instance: int = 0) -> Topic | None:
         """A topic's instance, None where it was not logged. A topic that was logged in several parts is joined."""
         parts = self._data.get((name, instance))
@@ -90,7 +96,7 @@ class Topics:
             for field in parts[0].data
             if all(field in part.data for part in parts)
         }
-        return Topic(name, columns, self._assembly.seconds(_sample_time(columns), 1_000_000))
+        return Topic(name, columns, self._assembly.seconds(_sample_time(columns), 1_000_000), instance)
 
 
 def _sample_time(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:

@@ -117,7 +117,9 @@ def test_old_and_foreign_firmware_is_read() -> None:
     assert Flight.from_log(old).segments() == ()
     vtol = read_log(DATA / "pyulog_samples" / "sample_log_small.ulg.gz")
     assert vtol.stream("rotor_command") is None
-    assert any("neither output functions nor a multirotor" in note for note in vtol.provenance.notes)
+    outputs = next(str(unused) for unused in vtol.provenance.unused if unused.source == "actuator_outputs[0]")
+    assert "move between 900 and 1790" in outputs
+    assert "tells neither a multirotor" in outputs
 
 
 def test_crazyflie_log_and_its_csv_are_one_flight() -> None:

@@ -144,7 +144,7 @@ def test_the_fastest_rotor_commands_come_first(truth: Truth, tmp_path: Path) -> 
     slow = slice(None, None, 10)
     stamps, count = _stamps(truth), len(truth.time)
     pulses = 1000.0 + 500.0 * np.ones((count, 16)) + 10 * np.sin(truth.time)[:, None]
-    control = np.stack([0.1 * np.ones(count), 0 * truth.time, 0 * truth.time, 0.5 * np.ones(count)], axis=1)
+    control = np.stack([0.1 * np.ones(count), 0 * truth.time, 0 * truth.time, 0.5 + 0.05 * np.sin(truth.time)], axis=1)
     topics = [
         Topic("actuator_outputs", {"timestamp": stamps[slow], "output": _f(pulses[slow])}),
         Topic("actuator_controls_0", {"timestamp": stamps, "control": _f(control)}),
