@@ -36,6 +36,7 @@ class Assembly:
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
+        self.labels: dict[str, str] = {}  # the name to show for a source, where the file has another one
         self._streams: list[Stream] = []
         self._spares: list[Stream] = []
         self._faults: dict[str, tuple[str, DataError]] = {}  # of primary quantities, by source
@@ -81,6 +82,7 @@ class Assembly:
         stamps = np.asarray(time, dtype=float)
         if not len(stamps):
             return
+        source = self.labels.get(source, source)
         what = f"{name} ({source})"
         try:
             stamps, table = self._checked(name, stamps, np.asarray(values, dtype=float), what)

@@ -77,6 +77,7 @@ def _autopilot(flights: Sequence[Flight], stated: str | None) -> str:
             raise RequestError(f"unknown autopilot {stated!r}{unknown(stated.lower(), by_name)}")
         return by_name[stated.lower()]
     names = {AUTOPILOT_OF_FORMAT[f.provenance.format] for f in flights if f.provenance.format in AUTOPILOT_OF_FORMAT}
+    names |= {PX4 for flight in flights if flight.metadata.get("messages") == "px4_msgs"}
     if len(names) > 1:
         raise RequestError(f"the logs are of {' and '.join(sorted(names))}. Give the logs of one vehicle.")
     return names.pop() if names else PX4
@@ -92,7 +93,7 @@ def _places_read(flight: Flight, frame: Frame, numbers: tuple[int, ...]) -> tupl
     if len(numbers) != len(QUAD_X_ORDER):
         return as_numbered
     form, parameters = flight.provenance.format, flight.parameters
-    if form == "PX4 ULog":
+    if form == "PX4 ULog" or flight.metadata.get("messages") == "px4_msgs":
         vehicle_type = flight.metadata.get("vehicle_type", "")
         order = rotor_order(parameters, int(vehicle_type) if vehicle_type.isdigit() else None)[0]
     elif form == "ArduPilot DataFlash log":

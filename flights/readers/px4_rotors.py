@@ -51,15 +51,21 @@ def commands_of_pulses(pulses: Floats) -> tuple[Floats, str]:
 
     pulses: (n, outputs). Returns (n, k), in our order if there are four.
     """
-    used = int(np.count_nonzero((pulses > _UNUSED_PWM).any(axis=0) & (np.ptp(pulses, axis=0) > 0)))
+    command = share_of_pulses(pulses)
+    used = command.shape[1]
     if used == 0:
-        return np.zeros((len(pulses), 0)), "SERVO_OUTPUT_RAW never changes: no rotor commands from it"
-    command = np.clip((pulses[:, :used] - _PWM_LOW) / _PWM_SPAN, 0.0, 1.0)
+        return command, "SERVO_OUTPUT_RAW never changes: no rotor commands from it"
     order = QUAD_X if used == 4 else None
     note = "rotor commands are SERVO_OUTPUT_RAW's pulses from 1000 to 2000 us, output n taken for motor n" + (
         " and put in our order as PX4's quad x" if order else f", {used} motors left in their order"
     )
     return in_our_order(command, order), note
+
+
+def share_of_pulses(pulses: Floats) -> Floats:
+    """Commands 0..1 of pulses from 1000 to 2000 us (n, outputs), of those outputs alone that are used and change."""
+    used = int(np.count_nonzero((pulses > _UNUSED_PWM).any(axis=0) & (np.ptp(pulses, axis=0) > 0)))
+    return np.asarray(np.clip((pulses[:, :used] - _PWM_LOW) / _PWM_SPAN, 0.0, 1.0))
 
 
 def join_groups(time: Floats, first: Floats, speed: Floats) -> tuple[Floats, Floats]:

@@ -37,10 +37,11 @@ _ARMED_STATE = 2
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
 # vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
 _VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
+_FRD_OF_ANY_HEADING = 2  # of pose_frame and velocity_frame: a world frame, whose north is where the vehicle began
 _EXTERNAL = ("vehicle_visual_odometry", "vehicle_mocap_odometry")
 # parameters whose bits say what of it is fused: today's, and vision's position, yaw and velocity before PX4 1.14
 _EXTERNAL_AIDING = {"EKF2_EV_CTRL": 0b1111, "EKF2_AID_MASK": 0b1_0001_1000}
-_TOPICS = (
+TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
     "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
     "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
@@ -69,6 +70,13 @@ def read(source: Source) -> LogContent:
     numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
     assembly.parameters.update({name: float(value) for name, value in numbers.items()})
     vehicle_type = _describe(log, topics, assembly)
+    add_topics(assembly, topics, vehicle_type)
+    _messages(log, assembly)
+    return assembly.finish()
+
+
+def add_topics(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> None:
+    """Add the streams of PX4's topics, of a ULog or of another recording. vehicle_type: MAV_TYPE, None: not known."""
     for add in _MOTION:
         add(assembly, topics)
     ulog_rotors.add_streams(assembly, topics, vehicle_type)
@@ -77,8 +85,6 @@ def read(source: Source) -> LogContent:
             add(assembly, topics)
         except (KeyError, ValueError, IndexError) as error:  # fields that another version of PX4 has otherwise
             assembly.repair("stream_left_out", f"{add.__name__.strip('_')}: its topic is left out ({error!r})")
-    _messages(log, assembly)
-    return assembly.finish()
 
 
 class _Guarded(io.BufferedReader):
@@ -99,7 +105,7 @@ class _Guarded(io.BufferedReader):
 def _parse(source: Source, assembly: Assembly) -> ULog:
     try:
         with _Guarded(io.FileIO(source.file)) as stream:
-            log = ULog(stream, message_name_filter_list=list(_TOPICS))
+            log = ULog(stream, message_name_filter_list=list(TOPICS))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
     if log.file_corruption:
@@ -263,6 +269,9 @@ def _odometry_velocity(topic: Topic, attitude: Floats | None, assembly: Assembly
     if not topic.has("velocity_frame"):
         assembly.note(f"{topic.name} has no velocity_frame: its velocity is taken for NED, as of PX4 before 1.11")
     in_body = frame == _VELOCITY_BODY
+    if topic.has("velocity[0]", "pose_frame"):  # the pose's own world frame
+        own = (frame == _FRD_OF_ANY_HEADING) & (topic["pose_frame"] == _FRD_OF_ANY_HEADING)
+        frame = np.where(own, float(ned), frame)
     supported = (frame == ned) | (in_body & np.array(attitude is not None))
     velocity = np.where(supported[:, None], frames.enu_from_ned(velocity_logged), np.nan)
     if in_body.any() and attitude is not None:
