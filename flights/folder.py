@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
+from flights import archive
 from flights import mapping as mappings
 from flights.mapping import Mapping
 from flights.quantities import quantity_of
@@ -20,7 +21,7 @@ CAMPAIGN, TRAINING_FLIGHTS = (
     "train",
 )  # a campaign's recipe, and the folder of its flights to learn from
 # By such a name an empty file is a damaged log, not something else.
-SUFFIXES = (".ulg", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
+SUFFIXES = (".ulg", ".ulge", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,21 @@ def folder_content(folder: Path, mapping: str | Path | None = None) -> FolderCon
     return FolderContent(logs, tuple(file for file in files if file not in set(logs)))
 
 
+def logs_of_archive(folder: Path, mapping: Path | None) -> tuple[list[Path], list[Path]]:
+    """The logs of an unpacked archive, and its other files; an archive inside of it is none of its logs."""
+    columns = None if mapping is None else mappings.read_mapping(mapping)
+    files = list(logs_below(folder))
+    logs = [file for file in files if not _is_archive(file) and is_log(file, columns)]
+    return logs, [file for file in files if file not in logs]
+
+
+def _is_archive(path: Path) -> bool:
+    if path.is_dir():
+        return False
+    with path.open("rb") as stream:
+        return archive.is_zip(stream.read(4))
+
+
 def is_log(path: Path, mapping: Mapping | None = None) -> bool:
     """Whether a file is a log of a known format, whole or damaged, or a table of the mapping's columns."""
     try:
@@ -61,6 +77,8 @@ def is_log(path: Path, mapping: Mapping | None = None) -> bool:
             return True
     except DataError:
         return path.suffix.lower() in SUFFIXES or path.suffixes[-1:] == [".gz"]
+    except archive.SeveralLogsError:
+        return True
     except RequestError:
         return _is_readable(path) is False or _needs_advice(path)
 

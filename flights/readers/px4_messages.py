@@ -170,7 +170,7 @@ def chosen_vehicle(topics: Iterable[str], assembly: Assembly) -> str:
     if len(spaces) > 1:
         names = ", ".join(space or "/" for space in spaces)
         assembly.note(
-            f"the bag holds {len(spaces)} PX4 vehicles ({names}); read: {chosen or '/'}. --system N reads the one whose "
-            "namespace ends in N"
+            f"the bag holds {len(spaces)} PX4 vehicles ({names}); read: {chosen or '/'}. --system N reads the one "
+            "whose namespace ends in N"
         )
     return chosen

@@ -256,8 +256,8 @@ def _pulses(assembly: Assembly, rows: TopicRows) -> None:
         return
     assembly.add("rotor_command", rows.time, command, rows.topic)
     assembly.note(
-        f"{rows.topic}: rotor commands are pulses from 1000 to 2000 us of {command.shape[1]} outputs, output n taken for "
-        "motor n and left in the autopilot's order"
+        f"{rows.topic}: rotor commands are pulses from 1000 to 2000 us of {command.shape[1]} outputs, output n taken "
+        "for motor n and left in the autopilot's order"
     )
 
 

@@ -30,6 +30,7 @@ from flights.source import Source
 AIRFRAME, UTC_START = "sys_uuid", "utc_start"  # of the metadata
 _MIN_UTC = 1e15  # us since 1970; receivers without a fix count from zero or from an old firmware's date
 _MAGIC = b"ULog\x01\x12\x35"
+_ENCRYPTED_MAGIC = b"ULogEnc"
 _HEADER_BYTES = 16
 _MAX_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -58,12 +59,17 @@ pyulog.core.print = _unprinted
 
 
 def matches(source: Source) -> bool:
-    """Whether it begins as a ULog does."""
-    return source.head.startswith(_MAGIC)
+    """Whether it begins as a ULog does, an encrypted one as well."""
+    return source.head.startswith((_MAGIC, _ENCRYPTED_MAGIC))
 
 
 def read(source: Source) -> LogContent:
-    """The streams of a ULog. Raises DataError when even its header cannot be read."""
+    """The streams of a ULog. Raises DataError when even its header cannot be read, and for an encrypted one."""
+    if source.head.startswith(_ENCRYPTED_MAGIC):
+        raise DataError(
+            "this ULog is encrypted: decrypt it with PX4's Tools/decrypt_ulog.py and the private key of the vehicle's "
+            "exchange key (SDLOG_EXCH_KEY), and give the .ulg file."
+        )
     assembly = Assembly()
     log = _parse(source, assembly)
     topics = Topics(log.data_list, assembly)
