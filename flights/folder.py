@@ -11,7 +11,8 @@ from flights import archive
 from flights import mapping as mappings
 from flights.mapping import Mapping
 from flights.quantities import quantity_of
-from flights.readers import csv, dataflash, mapped_csv
+from flights.readers import dataflash, mapped_csv
+from flights.readers.table_head import names_of
 from flights.reading import logs_below, sniff
 from flights.source import Source, opened
 from flights.tables import TIME
@@ -99,7 +100,7 @@ def _needs_advice(path: Path) -> bool:
             line = source.first_line()
     except AlulaError:
         return False
-    names: Sequence[str] = max((csv.names_of(line, separator) for separator in ",;\t"), key=len)
+    names: Sequence[str] = max((names_of(line, separator) for separator in ",;\t"), key=len)
     return TIME in names and any(quantity_of(name) is not None for name in names)
 
 

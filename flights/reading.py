@@ -12,7 +12,6 @@ from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility, pose_source
 from flights.events import Event
 from flights.log import Log, LogContent, Provenance, Stream
-from flights.quantities import quantity_of
 from flights.readers import (
     betaflight,
     crazyflie,
@@ -26,7 +25,6 @@ from flights.readers import (
     ulog,
 )
 from flights.source import Source, TimeSpan, opened, sha256
-from flights.tables import TIME
 
 
 @dataclass(frozen=True)
@@ -185,12 +183,6 @@ def sniff(source: Source) -> str:
             f"{source.path} is an ArduPilot log as text (.log), made of the autopilot's own .bin file; it holds fewer "
             "digits and is not read. Give the .bin file: from the vehicle's card (APM/LOGS), or downloaded again by "
             "the ground station without the conversion to text."
-        )
-    separated = csv.names_of(source.first_line(), ";")
-    if TIME in separated and any(quantity_of(name) is not None for name in separated):
-        raise RequestError(
-            f"{source.path} separates its cells by semicolons, as programs do that write decimal commas. Wanted commas "
-            "between cells and points in numbers: replace , by . first, then ; by , in the whole file."
         )
     columns = mapped_csv.header_of(source)
     if columns:
