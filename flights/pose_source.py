@@ -27,7 +27,7 @@ _ESTIMATOR = re.compile(
 _MOTION_CAPTURE = re.compile(
     r"vicon|optitrack|mocap|motion_capture|qualisys|natnet|vrpn|ground_?truth|lighthouse|locsrv", re.IGNORECASE
 )
-_FORMATS_OF_ESTIMATES = ("mcap", "dataflash", "tlog", "betaflight")
+_FORMATS_OF_ESTIMATES = ("mcap", "dataflash", "tlog", "betaflight", "blackbox_csv")
 _ULOG_INPUTS = {"vehicle_mocap_odometry": "motion_capture", "vehicle_visual_odometry": "unknown"}
 
 

@@ -14,6 +14,7 @@ from flights.events import Event
 from flights.log import Log, LogContent, Provenance, Stream
 from flights.readers import (
     betaflight,
+    blackbox_csv,
     crazyflie,
     csv,
     dataflash,
@@ -48,11 +49,12 @@ FORMATS: Mapping[str, Format] = {
     "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
     "rosbag": Format("ROS bag", rosbag.matches, rosbag.read, False),
+    "blackbox_csv": Format("Betaflight blackbox CSV", blackbox_csv.matches, blackbox_csv.read, True, reads_spans=False),
     "mapped_csv": Format("CSV or Parquet with a column mapping", mapped_csv.matches, mapped_csv.read, False),
     "parquet": Format("Parquet flight table", parquet.matches, parquet.read, False),
     "crazyflie": Format("Crazyflie micro-SD log", crazyflie.matches, crazyflie.read, True),
     "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True, reads_spans=False),
-    "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
+    "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True, reads_spans=False),
     "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
     "csv": Format("flight CSV", csv.matches, csv.read, False),
 }

@@ -19,6 +19,7 @@ AUTOPILOT_OF_FORMAT = {
     "ArduPilot DataFlash log": ARDUPILOT,
     "Crazyflie micro-SD log": CRAZYFLIE,
     "Betaflight blackbox log": BETAFLIGHT,
+    "Betaflight blackbox CSV": BETAFLIGHT,
 }
 _IN_QUADRANTS = ("MAVLink tlog", "Alula's recording (MCAP)")  # whose four motors are read as a quad x's
 _AS_SENT = ("ROS bag",)  # whose motors are left in the autopilot's order

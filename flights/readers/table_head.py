@@ -56,7 +56,7 @@ def table_head(source: Source) -> TableHead | None:
     first = source.first_line()
     if not first or len(first) > MAX_HEADER:
         return None
-    lines = _lines(source)
+    lines = lines_of(source)
     stated = _STATED.match(lines[0]) if lines else None
     if stated is not None:
         first, lines = (lines[1].strip() if len(lines) > 1 else ""), lines[1:]
@@ -75,9 +75,11 @@ def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
         return []
 
 
-def _lines(source: Source) -> list[str]:
-    """The first whole lines."""
-    lines = source.head.decode("utf-8-sig", "replace").replace("\0", "").splitlines()
+def lines_of(source: Source) -> list[str]:
+    """The first whole lines of a text, none of a file that is none."""
+    if b"\0" in source.head:
+        return []
+    lines = source.head.decode("utf-8-sig", "replace").split("\n")
     return lines[:-1] if len(source.head) == HEAD_BYTES else lines
 
 
