@@ -18,6 +18,7 @@ AUTOPILOT_OF_FORMAT = {
     "PX4 ULog": PX4,
     "ArduPilot DataFlash log": ARDUPILOT,
     "Crazyflie micro-SD log": CRAZYFLIE,
+    "CSV of Crazyflie log variables": CRAZYFLIE,
     "Betaflight blackbox log": BETAFLIGHT,
     "Betaflight blackbox CSV": BETAFLIGHT,
 }

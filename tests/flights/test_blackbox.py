@@ -195,5 +195,5 @@ def test_a_decoder_that_fails_is_named(
 def test_a_raw_log_names_its_decoder_where_there_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / "btfl.bbl").write_bytes(RAW)
-    with pytest.raises(DataError, match="blackbox_decode of blackbox-tools decodes. Install it"):
+    with pytest.raises(DataError, match=r"blackbox_decode of blackbox-tools decodes\. Install it"):
         read_log(tmp_path / "btfl.bbl")

@@ -1,4 +1,4 @@
-"""Tables as spreadsheets, pandas and ROS write them: decimal commas, times as text or in two columns, lists in cells."""
+"""Tables as spreadsheets, pandas and ROS write them: decimal commas, times as text or in two parts, lists in cells."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ BOOT = 90_000_000  # us since boot at the truth's time 0
 BODY_FRD, NED = 3, 1
 DEFINITIONS: Mapping[str, str] = {
     "VehicleOdometry": "uint64 timestamp\nuint64 timestamp_sample\nuint8 pose_frame\nfloat32[3] position\n"
-    "float32[4] q\nuint8 velocity_frame\nfloat32[3] velocity\nfloat32[3] angular_velocity\nuint8 reset_counter\nint8 quality",
+    "float32[4] q\nuint8 velocity_frame\nfloat32[3] velocity\nfloat32[3] angular_velocity\n"
+    "uint8 reset_counter\nint8 quality",
     "VehicleLocalPosition": "uint64 timestamp\nuint64 timestamp_sample\nbool xy_valid\nbool z_valid\nbool v_xy_valid\n"
     "bool v_z_valid\nfloat32 x\nfloat32 y\nfloat32 z\nfloat32 vx\nfloat32 vy\nfloat32 vz",
     "VehicleAttitude": "uint64 timestamp\nuint64 timestamp_sample\nfloat32[4] q\nuint8 quat_reset_counter",
