@@ -21,9 +21,13 @@ class SeveralLogsError(RequestError):
     """A zip file that holds more than one log."""
 
 
-def is_zip(head: bytes) -> bool:
-    """Whether a file begins as a zip file does. head: its first bytes."""
-    return head.startswith((MAGIC, _EMPTY))
+def is_zip(path: Path) -> bool:
+    """Whether a file begins as a zip file does; not for one that cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) in (MAGIC, _EMPTY)
+    except OSError:
+        return False
 
 
 def unpack(path: Path, folder: Path) -> None:
@@ -46,6 +50,8 @@ def unpack(path: Path, folder: Path) -> None:
                 packed_bytes += member.compress_size
                 unpacking.add_file()
                 _write(packed, member, _place_of(member.filename, folder, path), unpacking, packed_bytes)
+    except OSError as error:
+        raise RequestError(f"cannot unpack {path}: {error.strerror or error}. Unpack it, and give the log.") from error
     except _DAMAGE as error:
         raise DataError(
             f"{path} is a zip file that is damaged or cut off ({error}). Wanted a whole one; copy it again."

@@ -13,8 +13,8 @@ from flights.mapping import Mapping
 from flights.quantities import quantity_of
 from flights.readers import dataflash, mapped_csv
 from flights.readers.table_head import names_of
-from flights.reading import logs_below, sniff
-from flights.source import Source, opened
+from flights.reading import logs_below, opened_log, sniff
+from flights.source import opened
 from flights.tables import TIME
 
 CAMPAIGN, TRAINING_FLIGHTS = (
@@ -53,42 +53,21 @@ def folder_content(folder: Path, mapping: str | Path | None = None) -> FolderCon
     return FolderContent(logs, tuple(file for file in files if file not in set(logs)))
 
 
-def logs_of_archive(folder: Path, mapping: Path | None) -> tuple[list[Path], list[Path]]:
-    """The logs of an unpacked archive, and its other files; an archive inside of it is none of its logs."""
-    columns = None if mapping is None else mappings.read_mapping(mapping)
-    files = list(logs_below(folder))
-    logs = [file for file in files if not _is_archive(file) and is_log(file, columns)]
-    return logs, [file for file in files if file not in logs]
-
-
-def _is_archive(path: Path) -> bool:
-    if path.is_dir():
-        return False
-    with path.open("rb") as stream:
-        return archive.is_zip(stream.read(4))
-
-
 def is_log(path: Path, mapping: Mapping | None = None) -> bool:
     """Whether a file is a log of a known format, whole or damaged, or a table of the mapping's columns."""
     try:
-        with opened(path) as source:
-            if mapping is not None and _names(source, mapping) & set(mapping.columns):
+        with opened_log(path) as source:
+            if mapping is not None and mapped_csv.has_columns(source, mapping):
                 return True
             sniff(source)
             return True
     except DataError:
-        return path.suffix.lower() in SUFFIXES or path.suffixes[-1:] == [".gz"]
+        *inner, outer = [suffix.lower() for suffix in path.suffixes] or [""]
+        return outer in (*SUFFIXES, ".gz") or (outer == ".zip" and bool(inner) and inner[-1] in SUFFIXES)
     except archive.SeveralLogsError:
         return True
     except RequestError:
         return _is_readable(path) is False or _needs_advice(path)
-
-
-def _names(source: Source, mapping: Mapping) -> set[str]:
-    try:
-        return set(mapped_csv.header_of(source, mapping))
-    except AlulaError:
-        return set()
 
 
 def _needs_advice(path: Path) -> bool:

@@ -20,8 +20,8 @@ from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_file import refuse_unknown_keys
 from flights.quantities import MAX_ROTORS, QUANTITIES
-from flights.readers.table_time import UNITS as UNITS_OF_TIME
-from flights.readers.table_time import TimeColumns
+from flights.table_time import UNITS as UNITS_OF_TIME
+from flights.table_time import TimeColumns
 
 FOLDER = Path(__file__).parent / "mappings"
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dynamics.errors import AlulaError, DataError, RequestError
-from flights import plausibility, pose_source
+from flights import archive, plausibility, pose_source
 from flights.events import Event
 from flights.log import Log, LogContent, Provenance, Stream
+from flights.mapping import read_mapping
 from flights.readers import (
     betaflight,
     blackbox_csv,
@@ -72,7 +75,7 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str |
     be read or contradicts its units and frames.
     """
     path = Path(path)
-    with opened(path, None if mapping is None else Path(mapping)) as source:
+    with opened_log(path, None if mapping is None else Path(mapping)) as source:
         name = _format_name(source)
         log = _checked_log(source, name, sha256(path), _read(source, name))
     return replace(log, metadata=pose_source.with_source(log.metadata, pose))
@@ -89,7 +92,7 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
     if not seconds > 0:
         raise RequestError(f"a chunk cannot last {seconds} s; give a positive number of seconds.")
     path = Path(path)
-    with opened(path, None if mapping is None else Path(mapping)) as source:
+    with opened_log(path, None if mapping is None else Path(mapping)) as source:
         name, digest = _format_name(source), sha256(path)
         content = None if FORMATS[name].reads_spans else _read(source, name)
         span = TimeSpan(0.0, seconds)
@@ -100,6 +103,40 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
             if not span.more:
                 return
             span = span.next(seconds)
+
+
+@contextmanager
+def opened_log(path: Path, mapping: Path | None = None) -> Iterator[Source]:
+    """The log at a path, while the block lasts; of a zip file the one log in it.
+
+    Raises RequestError and DataError as `opened` does, SeveralLogsError for a zip file with several logs.
+    """
+    if not archive.is_zip(path):
+        with opened(path, mapping) as source:
+            yield source
+        return
+    with tempfile.TemporaryDirectory(prefix="alula-") as name:
+        folder = Path(name)
+        archive.unpack(path, folder)
+        files = list(logs_below(folder))
+        logs = [file for file in files if not archive.is_zip(file) and _is_known(file, mapping)]
+        log = archive.only_log(path, logs, [file for file in files if file not in logs], folder)
+        with opened(log, mapping) as source:
+            yield replace(source, path=path)
+
+
+def _is_known(file: Path, mapping: Path | None) -> bool:
+    """Whether an unpacked file is a log, or a table of the mapping's columns."""
+    try:
+        with opened(file) as source:
+            if mapping is not None and mapped_csv.has_columns(source, read_mapping(mapping)):
+                return True
+            sniff(source)
+            return True
+    except DataError:
+        return file.stat().st_size > 0
+    except RequestError:
+        return False
 
 
 def _format_name(source: Source) -> str:

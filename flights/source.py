@@ -1,4 +1,4 @@
-"""The file behind a log: opened, unpacked if it is a gzip or a zip, and hashed."""
+"""The file behind a log: opened, unpacked if it is gzipped, and hashed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from dynamics.errors import DataError, RequestError
 from dynamics.unpacking import gunzip
-from flights import archive
 from flights.log import Repair
 
 HEAD_BYTES = 65_536
@@ -106,7 +105,7 @@ class Source:
 
 @contextmanager
 def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
-    """The log at a path; a gzip or a zip is unpacked into a temporary file, so that it need not fit into memory.
+    """The log at a path; a gzip is unpacked into a temporary file, so that it need not fit into memory.
 
     Raises RequestError when there is no such file, it cannot be read or is packed beyond the limits, DataError for an
     empty one.
@@ -116,14 +115,10 @@ def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
             yield Source(path, path, b"", mapping=mapping)
             return
         with path.open("rb") as stream:
-            magic = stream.read(4)
+            magic = stream.read(2)
         if not magic:
             raise DataError(f"{path} is empty. Wanted a flight log.")
-        if archive.is_zip(magic):
-            with _unzipped(path, mapping) as log, opened(log, mapping) as source:
-                yield replace(source, path=path)
-            return
-        if not magic.startswith(_GZIP):
+        if magic != _GZIP:
             yield Source(path, path, _head(path), mapping=mapping)
             return
         with tempfile.TemporaryDirectory(prefix="alula-") as folder:
@@ -134,16 +129,6 @@ def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
             yield Source(path, file, _head(file), repairs, mapping)
     except OSError as error:
         raise RequestError(f"cannot read {path}: {error.strerror or error}. Give a flight log.") from error
-
-
-@contextmanager
-def _unzipped(path: Path, mapping: Path | None) -> Iterator[Path]:
-    """The one log of a zip file, or bag's folder, while the block lasts. Raises RequestError and DataError."""
-    from flights.folder import logs_of_archive
-
-    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
-        archive.unpack(path, Path(folder))
-        yield archive.only_log(path, *logs_of_archive(Path(folder), mapping), Path(folder))
 
 
 def sha256(path: Path) -> str:

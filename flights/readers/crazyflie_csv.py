@@ -17,8 +17,8 @@ from flights.log import LogContent
 from flights.readers import csv
 from flights.readers.crazyflie import STREAMS, VARIABLES, add_variables
 from flights.readers.table_head import TableHead, table_head
-from flights.readers.table_time import Cut, TimeColumns, is_text, unit_by_rate
 from flights.source import Source
+from flights.table_time import Cut, TimeColumns, is_text, unit_by_rate
 
 _TIMES = ("timestamp", "time", "t", "tick", "time_ms", "timestamp_ms")
 _MIN_VARIABLES = 2

@@ -17,12 +17,12 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.spelling import nearest
 from flights.assembly import Assembly
+from flights.cells import element_of, elements_of_texts, seconds_of_clock
 from flights.log import LogContent
 from flights.quantities import PRIMARY, QUANTITIES, all_parts, known_columns, quantity_of
-from flights.readers.cells import element_of, elements_of_texts, seconds_of_clock
 from flights.readers.table_head import TableHead, table_head
-from flights.readers.table_time import Cut, TimeColumns, is_text, two_part, unit_by_rate
 from flights.source import Source
+from flights.table_time import Cut, TimeColumns, is_text, two_part, unit_by_rate
 from flights.tables import TIME
 
 FLIGHT_TIME = TimeColumns(TIME)

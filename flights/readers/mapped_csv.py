@@ -16,13 +16,13 @@ from dynamics.errors import DataError, RequestError
 from flights import mapping as mappings
 from flights import pose_source
 from flights.assembly import Assembly
+from flights.cells import element_of
 from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
 from flights.quantities import PRIMARY
 from flights.readers import csv, parquet
-from flights.readers.cells import element_of
-from flights.readers.table_time import Cut
 from flights.source import Source
+from flights.table_time import Cut
 
 _MAX_LINE = 60_000
 
@@ -39,6 +39,15 @@ def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]
         delimiter = max(",;\t", key=line.count)
     names = tuple(name.strip().strip('"') for name in line.split(delimiter))
     return names if len(names) > 1 and len(line) < _MAX_LINE else ()
+
+
+def has_columns(source: Source, mapping: Mapping) -> bool:
+    """Whether a file is a table with any of a mapping's columns."""
+    try:
+        names = header_of(source, mapping)
+    except (DataError, RequestError):
+        return False
+    return any(column in names or element_of(column, names) is not None for column in mapping.columns)
 
 
 def matches(source: Source) -> bool:

@@ -13,12 +13,12 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.unpacking import Unpacking
 from flights.assembly import Assembly
+from flights.cells import element_of, elements_of_lists, elements_of_texts, seconds_of_clock
 from flights.log import LogContent
 from flights.quantities import quantity_of
 from flights.readers import csv
-from flights.readers.cells import element_of, elements_of_lists, elements_of_texts, seconds_of_clock
-from flights.readers.table_time import Cut, TimeColumns, unit_by_rate
 from flights.source import Source
+from flights.table_time import Cut, TimeColumns, unit_by_rate
 from flights.tables import TIME, decode_notes
 
 BATCH_ROWS = 1 << 16  # that are unpacked at once

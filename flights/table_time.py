@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from flights.cells import is_clock
 from flights.quantities import quantity_of
-from flights.readers.cells import is_clock
 from flights.source import TimeSpan
 
 UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
