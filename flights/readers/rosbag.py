@@ -121,7 +121,7 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
     skipped = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c not in connections})
     if skipped:
         assembly.note(f"topics that are none of a flight's quantities: {', '.join(skipped[:12])}")
-    connections = _of_one_vehicle(connections, assembly)
+    connections = _with_definitions(_of_one_vehicle(connections, assembly), reader, assembly)
     if not connections:  # for which rosbags would read every message, cameras' as well
         return
     samples: dict[str, Samples | Px4Samples] = {}
@@ -154,6 +154,18 @@ def _of_one_vehicle(connections: list[Connection], assembly: Assembly) -> list[C
         return connections
     space = px4_messages.chosen_vehicle(of_px4, assembly)
     return [c for c in connections if c.topic not in of_px4 or px4_messages.namespace(c.topic) == space]
+
+
+def _with_definitions(connections: list[Connection], reader: AnyReader, assembly: Assembly) -> list[Connection]:
+    """Connections whose messages can be decoded: SQLite bags of ROS 2 Humble and before hold no definitions."""
+    without = [c for c in connections if c.msgtype not in reader.typestore.fielddefs]
+    if without:
+        topics = ", ".join(sorted(f"{c.topic} ({c.msgtype})" for c in without)[:12])
+        assembly.note(
+            f"the bag holds no definitions of its messages, without which {topics} cannot be decoded: convert it where "
+            "these messages are installed (`ros2 bag convert`, storage_id mcap), or record MCAP"
+        )
+    return [c for c in connections if c not in without]
 
 
 def _is_flight_data(connection: Connection, reader: AnyReader) -> bool:

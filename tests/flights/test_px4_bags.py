@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +137,16 @@ def _camera_bag(path: Path, truth: Truth | None, storage: StoragePlugin) -> Path
         if truth is not None:
             write_mocap(bag, store, truth)
     return path
+
+
+def test_a_bag_without_definitions_says_what_is_missing(truth: Truth, tmp_path: Path) -> None:
+    """As ROS 2 Humble's recorder writes SQLite."""
+    bag = px4_bag(truth, tmp_path / "bag", storage=StoragePlugin.SQLITE3)
+    with sqlite3.connect(next(bag.glob("*.db3"))) as database:
+        database.execute("delete from message_definitions")
+    database.close()
+    with pytest.raises(DataError, match=r"no definitions of its messages.*/fmu/out/actuator_motors.*ros2 bag convert"):
+        read_log(bag)
 
 
 def test_pulses_of_mavros_are_rotor_commands(truth: Truth, tmp_path: Path) -> None:
