@@ -135,7 +135,7 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise RequestError(f"{self.quantity}: give one column a rotor, 1 to {MAX_ROTORS} of them.")
         if count is not None and len(self.columns) != count:
             raise RequestError(
-                f"{self.quantity} has {count} columns; {len(self.columns)} are given.{self._advice_on_lists(count)}"
+                f"{self.quantity} has {count} columns; {len(self.columns)} are given.{self._advice(count)}"
             )
         axes = _AXES.get(quantity.frame, ())
         if self.frame and self.frame not in axes:
@@ -155,8 +155,10 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not self.pole_pairs >= 1.0:
             raise RequestError(f"{self.quantity}: pole_pairs = {self.pole_pairs:g}; give 1 or more, 7 for 14 poles.")
 
-    def _advice_on_lists(self, count: int) -> str:
-        """Advice where one column may stand for all."""
+    def _advice(self, count: int) -> str:
+        """Advice where one column may stand for all, or w was left out."""
+        if len(self.columns) == 3 and count == 4:
+            return " If w was left out, give order = 'xyz'."
         if len(self.columns) != 1:
             return ""
         names = ", ".join(f'"{self.columns[0]}[{index}]"' for index in range(count))

@@ -29,6 +29,7 @@ from flights.readers import (
     tlog,
     ulog,
 )
+from flights.readers.table_head import table_head
 from flights.source import Source, TimeSpan, opened, sha256
 
 
@@ -230,9 +231,18 @@ def sniff(source: Source) -> str:
         raise RequestError(
             f"{source.path} is a text table, but its columns ({', '.join(columns[:8])}, ...) are neither those of the "
             "flight CSV nor those of a known mapping. Write a column-mapping TOML as in flights/mappings/ and "
-            "give it as mapping."
+            f"give it as mapping.{_advice_on_lists(source)}"
         )
     raise RequestError(f"{source.path} has no known log format: it begins with {source.head[:8]!r}. Known: {labels}.")
+
+
+def _advice_on_lists(source: Source) -> str:
+    """How a mapping names the numbers of a table whose cells are lists; empty for any other."""
+    head = table_head(source)
+    lists = [] if head is None else [name for name in head.names if any(c.startswith("[") for c in head.cells(name))]
+    if not lists:
+        return ""
+    return f" The cells of {', '.join(lists[:8])} are lists: name their elements, as {lists[0]}[0], {lists[0]}[1]."
 
 
 def logs_below(root: Path) -> Iterator[Path]:

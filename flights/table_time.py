@@ -22,6 +22,7 @@ _FAST = ("attitude", "rate", "specific_force")
 USUAL_RATES = (10.0, 1_200.0)
 _DAY = 86_400.0
 _SECONDS = re.compile(r"(?:.*[._ ])?(?:tv_)?(?:sec|secs|seconds)$", re.IGNORECASE)
+_OTHER_NAME = re.compile(r"(?:time|timestamp|stamp|datetime|zeit)(?:[ _]*[\[(]?\w{1,2}[\])]?)?$", re.IGNORECASE)
 _FRACTIONS: Mapping[str, re.Pattern[str]] = {
     "ns": re.compile(r"(?:.*[._ ])?(?:tv_)?(?:nanosec|nanosecs|nsec|nsecs|nanoseconds)$", re.IGNORECASE),
     "us": re.compile(r"(?:.*[._ ])?(?:tv_)?(?:microsec|microsecs|usec|usecs|microseconds)$", re.IGNORECASE),
@@ -89,6 +90,12 @@ class Cut:
         finite = elapsed[np.isfinite(elapsed)]
         self.is_over = bool(len(finite)) and self.span.is_past(float(finite.min()))
         return self.span.mask(elapsed)
+
+
+def other_time(names: Sequence[str]) -> str | None:
+    """A column that is a time by its name, None where there is none or more than one."""
+    times = [name for name in names if _OTHER_NAME.match(name)]
+    return times[0] if len(times) == 1 else None
 
 
 def two_part(names: Sequence[str]) -> TimeColumns | None:

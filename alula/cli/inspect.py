@@ -35,6 +35,7 @@ MINOR = (
     "velocity_reset_counter",
     "attitude_reset_counter",
 )
+ONE_FLIGHT = "--one-flight"  # in a note of a log that is a part of a flight
 POSES = {
     "motion_capture": "from motion capture",
     "estimator": "from an estimator that used the accelerometer, so that their agreement proves nothing",
@@ -161,7 +162,8 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     _print_effects(inspection, console)
     if everything:
         _print_excitation(inspection, console)
-    for text in (*inspection.notes, *map(str, inspection.repairs)) if everything else ():
+    told = (*inspection.notes, *map(str, inspection.repairs))
+    for text in told if everything else [text for text in told if ONE_FLIGHT in text]:
         console.print(f"note: {text}", style="dim", highlight=False, markup=False)
 
 

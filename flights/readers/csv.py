@@ -17,12 +17,12 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.spelling import nearest
 from flights.assembly import Assembly
-from flights.cells import element_of, elements_of_texts, seconds_of_clock
+from flights.cells import element_of, elements_of_texts, is_clock, seconds_of_clock
 from flights.log import LogContent
 from flights.quantities import PRIMARY, QUANTITIES, all_parts, known_columns, quantity_of
-from flights.readers.table_head import TableHead, table_head
+from flights.readers.table_head import TableHead, is_decimal_comma, table_head
 from flights.source import Source
-from flights.table_time import Cut, TimeColumns, is_text, two_part, unit_by_rate
+from flights.table_time import Cut, TimeColumns, is_text, other_time, two_part, unit_by_rate
 from flights.tables import TIME
 
 FLIGHT_TIME = TimeColumns(TIME)
@@ -67,11 +67,11 @@ def read(source: Source) -> LogContent:
         raise DataError(f"its columns are none of a flight's. Wanted {TIME} and columns of the flight CSV.")
     assembly = Assembly()
     head, time = table
-    if time.column == TIME and not time.is_text:
-        unit, name = unit_by_rate(head.numbers(TIME), TIME, head.names)
+    if not time.is_text and not time.fraction:
+        unit, name = unit_by_rate(head.numbers(time.column), time.column, head.names)
         if unit != 1.0:
             assembly.repair(
-                "time_unit", f"{TIME} is in {name} by its rate of rows, and not in s as the flight CSV's is"
+                "time_unit", f"{time.column} is in {name} by its rate of rows, and not in s as the flight CSV's is"
             )
             time = replace(time, unit=unit)
     _note_form(head, time, assembly)
@@ -98,10 +98,11 @@ def _flight_table(source: Source) -> tuple[TableHead, TimeColumns] | None:
     head = table_head(source)
     if head is None or not any(quantity_of(name) is not None for name in head.names):
         return None
-    if TIME in head.names:
-        return head, TimeColumns(TIME, is_text=is_text(head.cells(TIME)))
-    time = two_part(head.names)
-    return None if time is None else (head, time)
+    time = two_part(head.names) if TIME not in head.names else None
+    if time is not None:
+        return head, time
+    column = next((name for name in head.names if name == TIME), None) or other_time(head.names)
+    return None if column is None else (head, TimeColumns(column, is_text=is_text(head.cells(column))))
 
 
 def _note_form(head: TableHead, time: TimeColumns, assembly: Assembly) -> None:
@@ -112,6 +113,8 @@ def _note_form(head: TableHead, time: TimeColumns, assembly: Assembly) -> None:
         assembly.note(f"{time.column} holds times of a clock as text, counted from the first row")
     elif time.fraction:
         assembly.note(f"time is {time.column} and {time.fraction}, counted from the first row")
+    elif time.column != TIME:
+        assembly.note(f"time is {time.column}, counted from the first row")
 
 
 def needed_columns(names: Sequence[str], time: TimeColumns = FLIGHT_TIME) -> tuple[list[str], dict[str, list[str]]]:
@@ -257,8 +260,22 @@ def _parsed(file: Path, layout: Layout, names: Sequence[str], *, strict: bool) -
     except pa.ArrowInvalid as error:
         raise DataError(
             f"its rows cannot be read as numbers: {error}. Wanted a number or nothing in each cell."
+            f"{_advice(str(error))}"
         ) from None
     return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}, torn
+
+
+def _advice(error: str) -> str:
+    """The line of a mapping that reads the cell which an error shows, empty for none."""
+    match = re.search(r"invalid value '(.+?)'", error)
+    cell = "" if match is None else match[1].strip()
+    if cell.startswith(("[", "(", "array")):
+        return " For cells that are lists, name their elements in a mapping: p[0], p[1], p[2]."
+    if is_clock(cell):
+        return " For times as text, give unit = 'iso' under [time] of the mapping."
+    if is_decimal_comma(cell):
+        return " For decimal commas, give decimal = ',' under [file] of the mapping."
+    return ""
 
 
 def _block(

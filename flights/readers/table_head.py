@@ -79,8 +79,13 @@ def lines_of(source: Source) -> list[str]:
     """The first whole lines of a text, none of a file that is none."""
     if b"\0" in source.head:
         return []
-    lines = source.head.decode("utf-8-sig", "replace").split("\n")
+    lines = [line.rstrip("\r") for line in source.head.decode("utf-8-sig", "replace").split("\n")]
     return lines[:-1] if len(source.head) == HEAD_BYTES else lines
+
+
+def is_decimal_comma(cell: str) -> bool:
+    """Whether a cell is a number with a decimal comma."""
+    return _DECIMAL_COMMA.match(cell) is not None
 
 
 def decimal_of(rows: Sequence[Sequence[str]]) -> str:

@@ -140,6 +140,9 @@ def test_commands_join_the_cut_of_a_reported_flight() -> None:
     assert result.exit_code == 0, result.output
     assert '"quantity":"rotor_command"' in result.stdout.replace(" ", "")
     assert not logs_are_joined()  # the next call reads a flight a file
+    assert "further blocks" not in result.stdout
+    alone = CliRunner().invoke(app, ["inspect", *files])
+    assert " ".join(alone.stdout.split()).count("further blocks of the flight join it by --one-flight") == 2
     with logs_joined():
         (flight,) = read_flights(files)
     assert flight.has("position", "rate", "rotor_command")

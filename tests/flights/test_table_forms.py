@@ -127,6 +127,15 @@ def test_text_that_is_no_time_is_shown(table: pandas.DataFrame, truth: Truth, tm
         read_log(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize(("name", "factor"), [("timestamp", 1e9), ("Time [ms]", 1e3), ("time", 1.0)])
+def test_a_column_that_is_a_time_by_its_name_is_one(
+    table: pandas.DataFrame, truth: Truth, tmp_path: Path, name: str, factor: float
+) -> None:
+    stamps = np.rint((1_700_000_000.5 + truth.time) * factor).astype(np.int64) if factor > 1 else truth.time
+    table.rename(columns={"t": name}).assign(**{name: stamps}).to_csv(tmp_path / "log.csv", index=False)
+    _assert_is(read_log(tmp_path / "log.csv"), truth)
+
+
 @pytest.mark.parametrize(
     ("names", "per_second"),
     [
@@ -281,6 +290,23 @@ def test_a_mapping_states_offset_decimal_comma_and_time(truth: Truth, tmp_path: 
     _assert_mapped(read_log(tmp_path / "log.csv", mapping=written), truth)
 
 
+def test_the_line_of_a_mapping_that_reads_a_cell_is_named(truth: Truth, tmp_path: Path) -> None:
+    columns = {f"{name}[{i}]": values[:, i] for name, values in _listed(truth).items() for i in range(values.shape[1])}
+    frame = pandas.DataFrame({"t": truth.time, **columns})
+    frame.to_csv(tmp_path / "log.csv", sep=";", decimal=",")
+    with pytest.raises(DataError, match=r"decimal = ',' under \[file\]"):
+        read_log(tmp_path / "log.csv", mapping=_mapping(tmp_path, file='[file]\ndelimiter = ";"'))
+    frame.assign(t=_stamps(truth, FORMS[0])).to_csv(tmp_path / "log.csv")
+    with pytest.raises(DataError, match=r"unit = 'iso' under \[time\]"):
+        read_log(tmp_path / "log.csv", mapping=_mapping(tmp_path))
+    listed = {name: [str(row.tolist()) for row in values] for name, values in _listed(truth).items()}
+    pandas.DataFrame({"t": truth.time, **listed}).to_csv(tmp_path / "log.csv")
+    with pytest.raises(
+        RequestError, match=r"The cells of p, v, q, w, a, e, m are lists: name their elements, as p\[0\]"
+    ):
+        read_log(tmp_path / "log.csv")
+
+
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
@@ -295,7 +321,11 @@ def test_a_mapping_states_offset_decimal_comma_and_time(truth: Truth, tmp_path: 
         ("pole_pairs = 7", "pole_pairs = 0.5", "give 1 or more, 7 for 14 poles"),
         ('column = "t"', 'column = "t"\nunit = "ms"\nfraction = "n"', "fraction goes with a column in whole s"),
         ("[time]", '[file]\ndecimal = ","\n[time]', "decimal and delimiter are both"),
-        ('order = "xyz"', 'order = "xyzw"', "attitude has 4 columns; 3 are given"),
+        (
+            'order = "xyz"',
+            'order = "xyzw"',
+            "attitude has 4 columns; 3 are given. If w was left out, give order = 'xyz'",
+        ),
     ],
 )
 def test_what_a_mapping_cannot_mean_is_refused(tmp_path: Path, before: str, after: str, message: str) -> None:
