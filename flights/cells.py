@@ -136,8 +136,8 @@ def _seconds(parts: Mapping[str, str | None]) -> float:
         raise DataError(f"{hour}:{minute:02}:{second:02} is no time of day. Correct the time column.")
     fraction = parts.get("part") or ""
     day = _days(parts["year"], parts["month"], parts["day"]) if parts.get("year") else 0
-    whole = day * _DAY + hour * 3600 + minute * 60 + second - _zone(parts.get("zone"))
-    return whole + (int(fraction) / 10 ** len(fraction) if fraction else 0.0)
+    seconds = day * _DAY + hour * 3600 + minute * 60 + second - _zone(parts.get("zone"))
+    return seconds + (int(fraction) / 10 ** len(fraction) if fraction else 0.0)
 
 
 @cache

@@ -42,9 +42,9 @@ def join(logs: Sequence[Log]) -> Log:
         for log in logs
         for stream in log.streams
     ]
-    known = {note for log in logs for note in log.provenance.notes}
+    noted = {note for log in logs for note in log.provenance.notes}
     for finding in plausibility.check(streams):
-        if finding.text not in known:
+        if finding.text not in noted:
             raise DataError(f"{_path(logs)}, as files of one flight: {finding.text}")
     start = min(float(stream.time[0]) for stream in spanning_streams(streams))
     events = [
@@ -110,7 +110,7 @@ def _provenance(logs: Sequence[Log]) -> Provenance:
 
 
 def _metadata(logs: Sequence[Log]) -> Mapping[str, str]:
-    """What any file states, the first one's where several do; the pose is an estimator's where that of any file is."""
+    """Metadata of any file, the first one's where several do; the pose is an estimator's where that of any file is."""
     metadata = {key: value for log in reversed(logs) for key, value in log.metadata.items()}
     sources = [pose_source.source_of(log.metadata) for log in logs if any(log.stream(name) for name in _POSE)]
     one = "estimator" if "estimator" in sources else sources[0] if len(set(sources)) == 1 else "unknown"

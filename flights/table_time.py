@@ -99,12 +99,12 @@ def other_time(names: Sequence[str]) -> str | None:
 
 
 def two_part(names: Sequence[str]) -> TimeColumns | None:
-    """The time of a table with whole seconds in one column and the rest in another, None where it has no such pair."""
-    whole = [name for name in names if _SECONDS.match(name)]
+    """The time of a table with whole seconds in one column and the rest in another, None where there is no such pair."""
+    seconds = [name for name in names if _SECONDS.match(name)]
     parts = [(name, UNITS[unit]) for unit, form in _FRACTIONS.items() for name in names if form.match(name)]
-    if len(whole) != 1 or len(parts) != 1:
+    if len(seconds) != 1 or len(parts) != 1:
         return None
-    return TimeColumns(whole[0], fraction=parts[0][0], fraction_unit=parts[0][1])
+    return TimeColumns(seconds[0], fraction=parts[0][0], fraction_unit=parts[0][1])
 
 
 def is_text(cells: Sequence[str]) -> bool:

@@ -162,8 +162,8 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     _print_effects(inspection, console)
     if everything:
         _print_excitation(inspection, console)
-    told = (*inspection.notes, *map(str, inspection.repairs))
-    for text in told if everything else [text for text in told if ONE_FLIGHT in text]:
+    lines = (*inspection.notes, *map(str, inspection.repairs))
+    for text in lines if everything else [text for text in lines if ONE_FLIGHT in text]:
         console.print(f"note: {text}", style="dim", highlight=False, markup=False)
 
 

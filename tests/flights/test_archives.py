@@ -107,10 +107,10 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_what_is_no_zip_of_a_log_is_named_for_what_it_is(truth: Truth, tmp_path: Path) -> None:
-    whole = _zip(tmp_path / "flight.zip", {"flight.csv": _csv(truth, tmp_path)}).read_bytes()
+    intact = _zip(tmp_path / "flight.zip", {"flight.csv": _csv(truth, tmp_path)}).read_bytes()
     cases = {
-        "cut off": whole[: len(whole) // 2],
-        "is damaged": whole[:200] + bytes(100) + whole[300:],
+        "cut off": intact[: len(intact) // 2],
+        "is damaged": intact[:200] + bytes(100) + intact[300:],
         "without a file": _zip(tmp_path / "a.zip", {}).read_bytes(),
         "a spreadsheet": _zip(tmp_path / "b.zip", {"xl/workbook.xml": b"<a/>"}).read_bytes(),
     }
@@ -121,9 +121,9 @@ def test_what_is_no_zip_of_a_log_is_named_for_what_it_is(truth: Truth, tmp_path:
 
 
 def test_every_end_of_a_zip_gives_an_error_of_ours(truth: Truth, tmp_path: Path) -> None:
-    whole = _zip(tmp_path / "flight.zip", {"flight.csv": _csv(truth, tmp_path)[:4000]}).read_bytes()
-    for end in range(4, len(whole), 37):
-        (tmp_path / "cut.zip").write_bytes(whole[:end])
+    intact = _zip(tmp_path / "flight.zip", {"flight.csv": _csv(truth, tmp_path)[:4000]}).read_bytes()
+    for end in range(4, len(intact), 37):
+        (tmp_path / "cut.zip").write_bytes(intact[:end])
         with pytest.raises(AlulaError):
             read_log(tmp_path / "cut.zip")
 
