@@ -99,7 +99,7 @@ def other_time(names: Sequence[str]) -> str | None:
 
 
 def two_part(names: Sequence[str]) -> TimeColumns | None:
-    """The time of a table with whole seconds in one column and the rest in another, None where there is no such pair."""
+    """The time of a table with whole seconds in one column and the rest in another, None where there is no pair."""
     seconds = [name for name in names if _SECONDS.match(name)]
     parts = [(name, UNITS[unit]) for unit, form in _FRACTIONS.items() for name in names if form.match(name)]
     if len(seconds) != 1 or len(parts) != 1:
