@@ -38,6 +38,8 @@ class Assembly:
     def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
+        self.labels: dict[str, str] = {}  # the name to show for a source, where the file has another one
+        self.origin = 0.0  # s of the file's clock at the time 0 of what is added
         self._streams: list[Stream] = []
         self._spares: list[Stream] = []
         self._faults: dict[str, tuple[str, DataError]] = {}  # of primary quantities, by source
@@ -123,6 +125,7 @@ class Assembly:
         stamps = np.asarray(time, dtype=float)
         if not len(stamps):
             return
+        source = self.labels.get(source, source)
         what = f"{name} ({source})"
         try:
             stamps, table = self._checked(name, stamps, np.asarray(values, dtype=float), what)
@@ -254,7 +257,7 @@ class Assembly:
         start = 0.0 if keep_time else min((float(stream.time[0]) for stream in spanning), default=0.0)
         return LogContent(
             tuple(Stream(one.name, _shifted(one.time, start), one.values, one.source) for one in streams),
-            start + (self._epoch or 0) * 1e-9,
+            start + self.origin + (self._epoch or 0) * 1e-9,
             self.metadata,
             self.parameters,
             tuple(self._notes),

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
+from flights import archive
 from flights import mapping as mappings
 from flights.mapping import Mapping
 from flights.quantities import quantity_of
-from flights.readers import csv, dataflash, mapped_csv
-from flights.reading import logs_below, sniff
-from flights.source import Source, opened
+from flights.readers import dataflash, mapped_csv
+from flights.readers.table_head import names_of
+from flights.reading import logs_below, opened_log, sniff
+from flights.source import opened
 from flights.tables import TIME
 
 CAMPAIGN, TRAINING_FLIGHTS = (
@@ -20,7 +22,7 @@ CAMPAIGN, TRAINING_FLIGHTS = (
     "train",
 )  # a campaign's recipe, and the folder of its flights to learn from
 # By such a name an empty file is a damaged log, not something else.
-SUFFIXES = (".ulg", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
+SUFFIXES = (".ulg", ".ulge", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
 
 
 @dataclass(frozen=True)
@@ -54,22 +56,18 @@ def folder_content(folder: Path, mapping: str | Path | None = None) -> FolderCon
 def is_log(path: Path, mapping: Mapping | None = None) -> bool:
     """Whether a file is a log of a known format, whole or damaged, or a table of the mapping's columns."""
     try:
-        with opened(path) as source:
-            if mapping is not None and _names(source, mapping) & set(mapping.columns):
+        with opened_log(path) as source:
+            if mapping is not None and mapped_csv.has_columns(source, mapping):
                 return True
             sniff(source)
             return True
     except DataError:
-        return path.suffix.lower() in SUFFIXES or path.suffixes[-1:] == [".gz"]
+        *inner, outer = [suffix.lower() for suffix in path.suffixes] or [""]
+        return outer in (*SUFFIXES, ".gz") or (outer == ".zip" and bool(inner) and inner[-1] in SUFFIXES)
+    except archive.SeveralLogsError:
+        return True
     except RequestError:
         return _is_readable(path) is False or _needs_advice(path)
-
-
-def _names(source: Source, mapping: Mapping) -> set[str]:
-    try:
-        return set(mapped_csv.header_of(source, mapping))
-    except AlulaError:
-        return set()
 
 
 def _needs_advice(path: Path) -> bool:
@@ -81,7 +79,7 @@ def _needs_advice(path: Path) -> bool:
             line = source.first_line()
     except AlulaError:
         return False
-    names: Sequence[str] = max((csv.names_of(line, separator) for separator in ",;\t"), key=len)
+    names: Sequence[str] = max((names_of(line, separator) for separator in ",;\t"), key=len)
     return TIME in names and any(quantity_of(name) is not None for name in names)
 
 

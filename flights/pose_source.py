@@ -22,12 +22,13 @@ ALIASES: Mapping[str, PoseSource] = {"mocap": "motion_capture"}
 
 _QUANTITIES = ("velocity", "attitude", "position")
 _ESTIMATOR = re.compile(
-    r"stateestimate|ctrllee|local_position|/fmu/out/|ekf|estimat|odometry/filtered|/ap/", re.IGNORECASE
+    r"stateestimate|stabilizer|kalman|ctrllee|local_position|/fmu/out/|ekf|estimat|odometry/filtered|/ap/",
+    re.IGNORECASE,
 )
 _MOTION_CAPTURE = re.compile(
     r"vicon|optitrack|mocap|motion_capture|qualisys|natnet|vrpn|ground_?truth|lighthouse|locsrv", re.IGNORECASE
 )
-_FORMATS_OF_ESTIMATES = ("mcap", "dataflash", "tlog", "betaflight")
+_FORMATS_OF_ESTIMATES = ("mcap", "dataflash", "tlog", "betaflight", "blackbox_csv")
 _ULOG_INPUTS = {"vehicle_mocap_odometry": "motion_capture", "vehicle_visual_odometry": "unknown"}
 
 
@@ -70,7 +71,7 @@ def _source_of_stream(name: str, stream: Stream) -> PoseSource:
         return "estimator"
     if name == "ulog":
         return "estimator" if stream.source not in _ULOG_INPUTS else source_of({KEY: _ULOG_INPUTS[stream.source]})
-    if name not in ("rosbag", "crazyflie"):
+    if name not in ("rosbag", "crazyflie", "crazyflie_csv"):
         return "unknown"
     if _MOTION_CAPTURE.search(stream.source):
         return "motion_capture"

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dynamics.errors import AlulaError, DataError, RequestError
-from flights import plausibility, pose_source
+from flights import archive, plausibility, pose_source
 from flights.events import Event
 from flights.log import Log, LogContent, Provenance, Stream
-from flights.quantities import quantity_of
+from flights.mapping import read_mapping
 from flights.readers import (
     betaflight,
+    blackbox_csv,
     crazyflie,
+    crazyflie_csv,
     csv,
     dataflash,
     mapped_csv,
@@ -25,8 +29,8 @@ from flights.readers import (
     tlog,
     ulog,
 )
+from flights.readers.table_head import table_head
 from flights.source import Source, TimeSpan, opened, sha256
-from flights.tables import TIME
 
 
 @dataclass(frozen=True)
@@ -50,11 +54,13 @@ FORMATS: Mapping[str, Format] = {
     "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
     "rosbag": Format("ROS bag", rosbag.matches, rosbag.read, False),
+    "blackbox_csv": Format("Betaflight blackbox CSV", blackbox_csv.matches, blackbox_csv.read, True, reads_spans=False),
     "mapped_csv": Format("CSV or Parquet with a column mapping", mapped_csv.matches, mapped_csv.read, False),
     "parquet": Format("Parquet flight table", parquet.matches, parquet.read, False),
+    "crazyflie_csv": Format("CSV of Crazyflie log variables", crazyflie_csv.matches, crazyflie_csv.read, True),
     "crazyflie": Format("Crazyflie micro-SD log", crazyflie.matches, crazyflie.read, True),
     "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True, reads_spans=False),
-    "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
+    "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True, reads_spans=False),
     "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
     "csv": Format("flight CSV", csv.matches, csv.read, False),
 }
@@ -70,7 +76,7 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str |
     be read or contradicts its units and frames.
     """
     path = Path(path)
-    with opened(path, None if mapping is None else Path(mapping)) as source:
+    with opened_log(path, None if mapping is None else Path(mapping)) as source:
         name = _format_name(source)
         log = _checked_log(source, name, sha256(path), _read(source, name))
     return replace(log, metadata=pose_source.with_source(log.metadata, pose))
@@ -87,7 +93,7 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
     if not seconds > 0:
         raise RequestError(f"a chunk cannot last {seconds} s; give a positive number of seconds.")
     path = Path(path)
-    with opened(path, None if mapping is None else Path(mapping)) as source:
+    with opened_log(path, None if mapping is None else Path(mapping)) as source:
         name, digest = _format_name(source), sha256(path)
         content = None if FORMATS[name].reads_spans else _read(source, name)
         span = TimeSpan(0.0, seconds)
@@ -98,6 +104,40 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
             if not span.more:
                 return
             span = span.next(seconds)
+
+
+@contextmanager
+def opened_log(path: Path, mapping: Path | None = None) -> Iterator[Source]:
+    """The log at a path, while the block lasts; of a zip file the one log in it.
+
+    Raises RequestError and DataError as `opened` does, SeveralLogsError for a zip file with several logs.
+    """
+    if not archive.is_zip(path):
+        with opened(path, mapping) as source:
+            yield source
+        return
+    with tempfile.TemporaryDirectory(prefix="alula-") as name:
+        folder = Path(name)
+        archive.unpack(path, folder)
+        files = list(logs_below(folder))
+        logs = [file for file in files if not archive.is_zip(file) and _is_known(file, mapping)]
+        log = archive.only_log(path, logs, [file for file in files if file not in logs], folder)
+        with opened(log, mapping) as source:
+            yield replace(source, path=path)
+
+
+def _is_known(file: Path, mapping: Path | None) -> bool:
+    """Whether an unpacked file is a log, or a table of the mapping's columns."""
+    try:
+        with opened(file) as source:
+            if mapping is not None and mapped_csv.has_columns(source, read_mapping(mapping)):
+                return True
+            sniff(source)
+            return True
+    except DataError:
+        return file.stat().st_size > 0
+    except RequestError:
+        return False
 
 
 def _format_name(source: Source) -> str:
@@ -194,20 +234,23 @@ def sniff(source: Source) -> str:
             "digits and is not read. Give the .bin file: from the vehicle's card (APM/LOGS), or downloaded again by "
             "the ground station without the conversion to text."
         )
-    separated = csv.names_of(source.first_line(), ";")
-    if TIME in separated and any(quantity_of(name) is not None for name in separated):
-        raise RequestError(
-            f"{source.path} separates its cells by semicolons, as programs do that write decimal commas. Wanted commas "
-            "between cells and points in numbers: replace , by . first, then ; by , in the whole file."
-        )
     columns = mapped_csv.header_of(source)
     if columns:
         raise RequestError(
             f"{source.path} is a text table, but its columns ({', '.join(columns[:8])}, ...) are neither those of the "
             "flight CSV nor those of a known mapping. Write a column-mapping TOML as in flights/mappings/ and "
-            "give it as mapping."
+            f"give it as mapping.{_advice_on_lists(source)}"
         )
     raise RequestError(f"{source.path} has no known log format: it begins with {source.head[:8]!r}. Known: {labels}.")
+
+
+def _advice_on_lists(source: Source) -> str:
+    """How a mapping names the numbers of a table whose cells are lists; empty for any other."""
+    head = table_head(source)
+    lists = [] if head is None else [name for name in head.names if any(c.startswith("[") for c in head.cells(name))]
+    if not lists:
+        return ""
+    return f" The cells of {', '.join(lists[:8])} are lists: name their elements, as {lists[0]}[0], {lists[0]}[1]."
 
 
 def logs_below(root: Path) -> Iterator[Path]:

@@ -18,7 +18,9 @@ AUTOPILOT_OF_FORMAT = {
     "PX4 ULog": PX4,
     "ArduPilot DataFlash log": ARDUPILOT,
     "Crazyflie micro-SD log": CRAZYFLIE,
+    "CSV of Crazyflie log variables": CRAZYFLIE,
     "Betaflight blackbox log": BETAFLIGHT,
+    "Betaflight blackbox CSV": BETAFLIGHT,
 }
 _IN_QUADRANTS = ("MAVLink tlog", "Alula's recording (MCAP)")  # whose four motors are read as a quad x's
 _AS_SENT = ("ROS bag",)  # whose motors are left in the autopilot's order
@@ -77,6 +79,7 @@ def _autopilot(flights: Sequence[Flight], stated: str | None) -> str:
             raise RequestError(f"unknown autopilot {stated!r}{unknown(stated.lower(), by_name)}")
         return by_name[stated.lower()]
     names = {AUTOPILOT_OF_FORMAT[f.provenance.format] for f in flights if f.provenance.format in AUTOPILOT_OF_FORMAT}
+    names |= {PX4 for flight in flights if flight.metadata.get("messages") == "px4_msgs"}
     if len(names) > 1:
         raise RequestError(f"the logs are of {' and '.join(sorted(names))}. Give the logs of one vehicle.")
     return names.pop() if names else PX4
@@ -92,7 +95,7 @@ def _places_read(flight: Flight, frame: Frame, numbers: tuple[int, ...]) -> tupl
     if len(numbers) != len(QUAD_X_ORDER):
         return as_numbered
     form, parameters = flight.provenance.format, flight.parameters
-    if form == "PX4 ULog":
+    if form == "PX4 ULog" or flight.metadata.get("messages") == "px4_msgs":
         vehicle_type = flight.metadata.get("vehicle_type", "")
         order = rotor_order(parameters, int(vehicle_type) if vehicle_type.isdigit() else None)[0]
     elif form == "ArduPilot DataFlash log":

@@ -12,7 +12,7 @@ import typer
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, HoldOut, Mapping, Pose, RecordedSystem, VehicleOption
+from alula.cli.options import Effects, HoldOut, Mapping, OneFlight, Pose, RecordedSystem, VehicleOption
 from alula.cli.output import print_next
 from alula.cli.progress import stage_bar
 from alula.cli.tables import before_and_after, open_loop_table
@@ -42,6 +42,7 @@ def add(
     mapping: Mapping = None,
     system: RecordedSystem = None,
     pose: Pose = None,
+    one_flight: OneFlight = False,
     rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect; by default the best fit.")] = None,
     from_flight: Annotated[
         bool,

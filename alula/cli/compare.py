@@ -11,7 +11,7 @@ from rich.table import Table
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, RecordedSystem, VehicleOption
+from alula.cli.options import Effects, Figures, Logs, Mapping, OneFlight, Page, Pose, RecordedSystem, VehicleOption
 from alula.cli.output import options, print_next, print_written
 from alula.cli.progress import stage_bar
 from dynamics.files import STANDARD_OUTPUT
@@ -36,6 +36,7 @@ def compare(
     mapping: Mapping = None,
     system: RecordedSystem = None,
     pose: Pose = None,
+    one_flight: OneFlight = False,
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
     html: Page = None,
     figures: Figures = None,
@@ -54,8 +55,9 @@ def compare(
         print_written(result.write_pictures(figures), figures)
     if json != STANDARD_OUTPUT:
         _print(result.report, Console())
-        shared = options([("--effects", effects), ("--mapping", mapping), ("--pose", pose), ("--system", system)])
-        print_next("diagnose", *logs, "--vehicle", vehicle, *shared)
+        shared: list[tuple[str, object]] = [("--effects", effects), ("--mapping", mapping), ("--pose", pose)]
+        shared += [("--system", system), ("--one-flight", one_flight)]
+        print_next("diagnose", *logs, "--vehicle", vehicle, *options(shared))
 
 
 def _print(comparison: Comparison, console: Console) -> None:

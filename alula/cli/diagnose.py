@@ -14,7 +14,7 @@ import alula
 from alula.cli.console import Console
 from alula.cli.fleet import FLEET, diagnose_fleet
 from alula.cli.intake import vehicle_of_logs
-from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose, RecordedSystem
+from alula.cli.options import Effects, Figures, HoldOut, Mapping, OneFlight, Page, Pose, RecordedSystem
 from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
 from alula.cli.progress import stage_bar
@@ -45,6 +45,7 @@ def diagnose(
     mapping: Mapping = None,
     system: RecordedSystem = None,
     pose: Pose = None,
+    one_flight: OneFlight = False,
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
     html: Page = None,
@@ -90,6 +91,7 @@ def diagnose(
                 "LOG": logs,
                 "--hold-out": hold_out,
                 "--normal": normal,
+                "--one-flight": one_flight,
                 "--next-flight": next_flight,
                 "--figures": figures,
             }
@@ -100,6 +102,8 @@ def diagnose(
     if not logs:
         raise RequestError("a diagnosis needs logs: alula diagnose LOG... --vehicle V.toml, or a folder with --fleet.")
     vehicle = vehicle_of_logs(logs, vehicle, mapping)
+    if normal and one_flight:
+        raise RequestError("--one-flight with --normal, which compares flights. Leave one of them out.")
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return
@@ -115,7 +119,9 @@ def diagnose(
         )
     if json is not None:
         result.write_json(json)
-    shared = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
+    shared: dict[str, Any] = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
+    if one_flight:
+        shared["--one-flight"] = True
     if system is not None:
         shared["--system"] = str(system)
     if html is not None:

@@ -15,7 +15,7 @@ from alula.api.inputs import log_paths
 from alula.cli.console import Console
 from alula.cli.escaping import printable
 from alula.cli.intake import note_skipped
-from alula.cli.options import Effects, Mapping, Pose, RecordedSystem
+from alula.cli.options import Effects, Mapping, OneFlight, Pose, RecordedSystem
 from alula.cli.output import options, print_next
 from dynamics.errors import AlulaError, DataError
 from dynamics.files import STANDARD_OUTPUT, write_answer
@@ -35,6 +35,7 @@ MINOR = (
     "velocity_reset_counter",
     "attitude_reset_counter",
 )
+ONE_FLIGHT = "--one-flight"  # in a note of a log that is a part of a flight
 POSES = {
     "motion_capture": "from motion capture",
     "estimator": "from an estimator that used the accelerometer, so that their agreement proves nothing",
@@ -57,6 +58,7 @@ def inspect(
     mapping: Mapping = None,
     system: RecordedSystem = None,
     pose: Pose = None,
+    one_flight: OneFlight = False,
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
@@ -68,14 +70,14 @@ def inspect(
     refused: list[AlulaError] = []
     note_skipped(log, mapping)
     paths = log_paths(log, mapping)
-    for path in paths:
+    for files in [paths] if one_flight else [[path] for path in paths]:
         try:
-            streams = alula.read_log(path, mapping=mapping, pose=pose)
+            streams = _read(files, mapping, pose)
             inspections.append(alula.inspect(streams, effect_files=effects or ()))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
         except AlulaError as error:
-            if len(paths) == 1:
+            if len(paths) == 1 or one_flight:
                 raise
             refused.append(error)
     if as_json:
@@ -95,8 +97,21 @@ def inspect(
     if not as_json:
         states_layout = any(inspection.format in AUTOPILOTS for inspection in inspections)
         print_next(
-            *(["vehicle", "from-log", *log, *options([("--system", system)])] if states_layout else ["vehicle", "new"])
+            *(
+                ["vehicle", "from-log", *log, *options([("--system", system), ("--one-flight", one_flight)])]
+                if states_layout
+                else ["vehicle", "new"]
+            )
         )
+
+
+def _read(files: list[Path], mapping: Path | None, pose: str | None) -> Log:
+    """The streams of a log, or of several files of one flight."""
+    if len(files) == 1:
+        return alula.read_log(files[0], mapping=mapping, pose=pose)
+    from flights.one_flight import read_one_flight
+
+    return read_one_flight(files, mapping=mapping, pose=pose)
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:
@@ -153,8 +168,9 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     _print_effects(inspection, console)
     if everything:
         _print_excitation(inspection, console)
-    notes = (note for note in inspection.notes if note not in inspection.inferences)
-    for text in (*notes, *map(str, inspection.repairs)) if everything else ():
+    notes = [note for note in inspection.notes if note not in inspection.inferences]
+    lines = (*notes, *map(str, inspection.repairs))
+    for text in lines if everything else [text for text in lines if ONE_FLIGHT in text]:
         console.print(f"note: {text}", style="dim", highlight=False, markup=False)
 
 

@@ -66,6 +66,25 @@ RecordedSystem = Annotated[
         help="System id of the vehicle to read where a tlog holds several; by default the first autopilot.",
     ),
 ]
+
+
+def _joined(context: typer.Context, one_flight: bool) -> bool:
+    """Several logs of the call as files of one flight."""
+    from dynamics.joined_logs import join_logs
+
+    join_logs(one_flight)
+    context.call_on_close(lambda: join_logs(False))
+    return one_flight
+
+
+OneFlight = Annotated[
+    bool,
+    typer.Option(
+        "--one-flight",
+        callback=_joined,
+        help="The logs are files of one flight, stamped by one clock, as the blocks of the Crazyflie client are.",
+    ),
+]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Figures = Annotated[
     Path | None,

@@ -159,9 +159,12 @@ def command(*words: object) -> str:
 
 
 def options(values: Iterable[tuple[str, object]]) -> list[str]:
-    """Options with their values, one that was not used left out, one of several values repeated."""
+    """Options with their values, one that was not used left out, one of several values repeated; flags alone."""
     words: list[str] = []
     for name, value in values:
+        if isinstance(value, bool):
+            words += [name] * value
+            continue
         several = value if isinstance(value, list | tuple) else [] if value is None else [value]
         words += [word for one in several for word in (name, str(one))]
     return words

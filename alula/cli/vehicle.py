@@ -14,7 +14,7 @@ from rich.table import Table
 import alula
 from alula.cli.console import Console
 from alula.cli.intake import note_skipped, vehicle_of_logs
-from alula.cli.options import Effects, Logs, RecordedSystem, VehicleOption
+from alula.cli.options import Effects, Logs, OneFlight, RecordedSystem, VehicleOption
 from alula.cli.options import Mapping as MappingOption
 from alula.cli.output import command, options, print_next
 from dynamics.autopilot_frames import AUTOPILOTS, FRAMES
@@ -100,6 +100,7 @@ def from_log(
     ] = None,
     mapping: MappingOption = None,
     system: RecordedSystem = None,
+    one_flight: OneFlight = False,
     out: Out = None,
     json: Json = None,
 ) -> None:
@@ -121,13 +122,15 @@ def from_log(
         mapping=mapping,
     )
     if not made.draft.is_complete:
-        layout_options = [("--arm", arm), ("--frame", frame), ("--autopilot", autopilot), ("--system", system)]
+        layout_options: list[tuple[str, object]] = [("--arm", arm), ("--frame", frame), ("--autopilot", autopilot)]
+        layout_options += [("--system", system), ("--one-flight", one_flight)]
         words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options(layout_options)]
         _report(made.draft, None, json, words)
         return
     path = out or Path(f"{name}.toml")
     write_vehicle_text(made.draft.toml if made.draft.vehicle else "", path)
-    _report(made.draft, path, json, ["diagnose", *logs, "--vehicle", path, *options([("--system", system)])])
+    shared = options([("--system", system), ("--one-flight", one_flight)])
+    _report(made.draft, path, json, ["diagnose", *logs, "--vehicle", path, *shared])
 
 
 @commands.command()
@@ -137,6 +140,7 @@ def check(
     effects: Effects = None,
     mapping: MappingOption = None,
     system: RecordedSystem = None,
+    one_flight: OneFlight = False,
     json: Json = None,
 ) -> None:
     """Compare a vehicle file with logs: layout, thrust, inertia, motor lag; what disagrees, and by how much."""

@@ -15,10 +15,12 @@ from diagnosis.data.rotor_hold import find_hold
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
 from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
+from dynamics.joined_logs import logs_are_joined
 from dynamics.progress import Progress, no_progress, part_of
 from dynamics.vehicle import Vehicle
 from flights import Flight, Log, read_log
 from flights.hold_out import matching
+from flights.one_flight import read_one_flight
 from flights.quality.findings import Finding
 from flights.quantities import MOTION
 
@@ -94,6 +96,9 @@ def read_flights(
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
     read = []
+    if logs_are_joined():
+        progress(0.0, f"reading {len(logs)} files of one flight")
+        return align_logs([read_one_flight(logs, mapping=mapping, pose=pose)], thresholds)
     for number, path in enumerate(logs):
         progress(number / len(logs), f"reading {Path(path).name}")
         read.append(read_log(path, mapping=mapping, pose=pose))

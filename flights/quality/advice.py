@@ -20,12 +20,15 @@ FASTER_ROTORS: Mapping[str, str] = {
     "Alula's recording (MCAP)": f"use the vehicle's own ULog of the same flight, joined by time: {_PX4}",
     "ArduPilot DataFlash log": "let LOG_BITMASK include fast attitude and fast IMU, and log ESC telemetry",
     "Crazyflie micro-SD log": "add motor.m1 to motor.m4 to the SD-card deck's configuration at 250 Hz or more",
+    "CSV of Crazyflie log variables": "log motor.m1 to motor.m4 in a block of 10 ms, or on the SD-card deck",
     "Betaflight blackbox log": "raise the blackbox rate and log motors",
+    "Betaflight blackbox CSV": "raise the blackbox rate and log motors",
     "ROS bag": "record the rotor speeds' topic at 100 Hz or more",
 }
 MEASURED_SPEEDS: Mapping[str, str] = {
     "PX4 ULog": _PX4_SPEEDS,
     "Betaflight blackbox log": "turn on bidirectional DShot, so that eRPM is logged",
+    "Betaflight blackbox CSV": "turn on bidirectional DShot, so that eRPM is logged",
     "ArduPilot DataFlash log": "turn on bidirectional DShot or ESC telemetry, so that ESC messages are logged",
 }
 

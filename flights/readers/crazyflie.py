@@ -199,16 +199,23 @@ def _main_type(header: Header, tables: Mapping[int, NDArray[np.void]]) -> int:
 
 
 def _add_streams(assembly: Assembly, table: NDArray[np.void], ticks: int) -> None:
-    time = assembly.seconds(table["time"], ticks)
-    used: set[str] = set()
-    for name, variables, convert in _STREAMS:
-        if all(f"v:{variable}" in (table.dtype.names or ()) for variable in variables):
-            values = np.stack([table[f"v:{variable}"].astype(float) for variable in variables], axis=1)
-            assembly.add(name, time, convert(values), variables[0].rpartition(".")[0] + "." + _joined(variables))
-            used.update(variables)
-    unused = [name.removeprefix("v:") for name in (table.dtype.names or ())[2:] if name[2:] not in used]
+    names = [name.removeprefix("v:") for name in (table.dtype.names or ())[2:]]
+    columns = {name: table[f"v:{name}"].astype(float) for name in names}
+    used = add_variables(assembly, assembly.seconds(table["time"], ticks), columns)
+    unused = [name for name in names if name not in used]
     if unused:
         assembly.note(f"variables that are none of a flight's quantities: {', '.join(unused)}")
+
+
+def add_variables(assembly: Assembly, time: Floats, columns: Mapping[str, Floats]) -> set[str]:
+    """Add the streams of log variables, (n,) each by its group.name; returns the names of those that were used."""
+    used: set[str] = set()
+    for name, variables, convert in STREAMS:
+        if all(variable in columns for variable in variables):
+            values = np.stack([columns[variable] for variable in variables], axis=1)
+            assembly.add(name, time, convert(values), variables[0].rpartition(".")[0] + "." + _joined(variables))
+            used.update(variables)
+    return used
 
 
 def _joined(variables: tuple[str, ...]) -> str:
@@ -255,14 +262,16 @@ def _group(group: str, *names: str) -> tuple[str, ...]:
 _MILLI = 1e-3
 # Quantity, variables in the order of its columns, conversion; of several for one quantity the first is used.
 # stateEstimateZ's acceleration is left out: firmwares differ in whether gravity is in it.
-_STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = (
+STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = (
     ("position", _group("stateEstimate", "x", "y", "z"), _scaled(1.0)),
     ("position", _group("stateEstimateZ", "x", "y", "z"), _scaled(_MILLI)),
+    ("position", _group("kalman", "stateX", "stateY", "stateZ"), _scaled(1.0)),
     ("velocity", _group("stateEstimate", "vx", "vy", "vz"), _scaled(1.0)),
     ("velocity", _group("stateEstimateZ", "vx", "vy", "vz"), _scaled(_MILLI)),
     ("attitude", _group("stateEstimate", "qx", "qy", "qz", "qw"), quaternion_from_xyzw),
     ("attitude", ("stateEstimateZ.quat",), _from_compressed),
     ("attitude", _group("stateEstimate", "roll", "pitch", "yaw"), _from_legacy_euler),
+    ("attitude", _group("stabilizer", "roll", "pitch", "yaw"), _from_legacy_euler),  # stateEstimate's angles
     ("attitude", _group("ctrlLee", "rpyx", "rpyy", "rpyz"), _from_euler),
     ("rate", _group("gyro", "x", "y", "z"), _scaled(_DEGREE)),
     ("rate", _group("stateEstimateZ", "rateRoll", "ratePitch", "rateYaw"), _from_legacy_rates),
@@ -286,3 +295,4 @@ _STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = 
     ("collective_thrust_command", ("ctrlLee.thrustSi",), _scaled(1.0)),
     ("torque_command", _group("ctrlLee", "torquex", "torquey", "torquez"), _scaled(1.0)),
 )
+VARIABLES = frozenset(variable for _, variables, _ in STREAMS for variable in variables)  # that are read

@@ -16,12 +16,14 @@ from dynamics.errors import DataError, RequestError
 from flights import mapping as mappings
 from flights import pose_source
 from flights.assembly import Assembly
+from flights.cells import element_of
 from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
 from flights.quantities import PRIMARY
 from flights.readers import csv, parquet
 from flights.readers.unnamed_columns import columns_of, keep_unnamed, unnamed_columns
 from flights.source import Source
+from flights.table_time import Cut
 
 _MAX_LINE = 60_000
 
@@ -40,6 +42,15 @@ def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]
     return names if len(names) > 1 and len(line) < _MAX_LINE else ()
 
 
+def has_columns(source: Source, mapping: Mapping) -> bool:
+    """Whether a file is a table with any of a mapping's columns."""
+    try:
+        names = header_of(source, mapping)
+    except (DataError, RequestError):
+        return False
+    return any(column in names or element_of(column, names) is not None for column in mapping.columns)
+
+
 def matches(source: Source) -> bool:
     """Whether the file has all columns of one of the shipped mappings."""
     try:
@@ -54,7 +65,7 @@ def read(source: Source) -> LogContent:
     if mapping is None:
         raise RequestError("no mapping fits these columns.")
     names = header_of(source, mapping)
-    missing = [column for column in mapping.columns if column not in names]
+    missing = [column for column in mapping.columns if column not in names and element_of(column, names) is None]
     if missing:
         raise RequestError(
             f"the mapping {mapping.name!r} needs the columns {', '.join(missing)}, which are not among "
@@ -67,7 +78,10 @@ def read(source: Source) -> LogContent:
     assembly.note(f"columns by the mapping {mapping.name!r}")
     unnamed = unnamed_columns(names, mapping.columns)
     columns = _columns(source, names, mapping, assembly, columns_of(unnamed))
-    time = _time(columns[mapping.time.column], mapping)
+    clock = mapping.time.columns
+    origin = clock.origin(columns) or 0.0 if mapping.time.from_first_row else 0.0
+    time = clock.seconds(columns, origin)
+    assembly.origin = origin * clock.unit
     for stream in mapping.streams:
         if not columns.keys() >= set(stream.columns):
             continue
@@ -79,7 +93,8 @@ def read(source: Source) -> LogContent:
 
 def _shipped_for(source: Source) -> Mapping | None:
     for mapping in mappings.shipped():
-        if set(mapping.columns) <= set(header_of(source, mapping)):
+        names = header_of(source, mapping)
+        if all(column in names or element_of(column, names) is not None for column in mapping.columns):
             return mapping
     return None
 
@@ -88,36 +103,37 @@ def _columns(
     source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly, unnamed: Sequence[str]
 ) -> dict[str, Floats]:
     needed = {name for stream in mapping.streams if stream.quantity in PRIMARY for name in stream.columns}
-    primary = [mapping.time.column, *(name for name in dict.fromkeys(mapping.columns) if name in needed)]
+    clock = mapping.time.columns
+    primary = [*clock.names, *(name for name in dict.fromkeys(mapping.columns) if name in needed)]
     secondary: dict[str, list[str]] = {}
     for stream in mapping.streams:
         if stream.quantity not in PRIMARY:
             own = secondary.setdefault(stream.quantity, [])
             own.extend(name for name in stream.columns if name not in {*primary, *own})
-    unit = mappings.TIME_UNITS[mapping.time.unit]
-    cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
+    cut = None if source.span is None else Cut(source.span, clock)
     prefix = re.compile(mapping.file.prefix.encode()) if mapping.file.prefix else None
-    layout, is_parquet = csv.Layout(names, mapping.file.delimiter, cut, prefix), parquet.matches(source)
+    clocks = frozenset({clock.column}) if clock.is_text else frozenset[str]()
+    file = mapping.file
+    layout = csv.Layout(names, file.delimiter, file.decimal, clocks=clocks, cut=cut, prefix=prefix)
+    is_parquet = parquet.matches(source)
 
     def numbers(used: Sequence[str]) -> dict[str, Floats]:
         used = list(dict.fromkeys(used))  # two quantities may be of one column
         if is_parquet:
-            return parquet.read_columns(source, used, cut)
+            return parquet.read_columns(source, used, cut, clocks)
         return csv.read_columns(source.file, layout, used, assembly)
 
     return csv.readable_columns(numbers, primary, secondary, assembly, unnamed)
 
 
-def _time(values: Floats, mapping: Mapping) -> Floats:
-    """Seconds, counted from the first row before scaling, so that clocks that count from 1970 lose no digits."""
-    finite = np.flatnonzero(np.isfinite(values))
-    origin = values[finite[0]] if len(finite) and mapping.time.from_first_row else 0.0
-    return np.asarray((values - origin) * mappings.TIME_UNITS[mapping.time.unit])
-
-
 def _converted(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
     """Values in our units, order and frames."""
-    values = values * mappings.UNITS[stream.unit] * np.asarray(stream.scale) if stream.unit else values * stream.scale
+    values = (values - np.asarray(stream.offset)) * (np.asarray(stream.scale) / stream.pole_pairs)
+    if stream.range is not None:
+        low, high = stream.range
+        values = (values - low) / (high - low)
+    elif stream.unit:
+        values = values * mappings.UNITS[stream.unit]
     if stream.quantity in ("attitude", "attitude_setpoint"):
         return _attitude(values, stream, mapping)
     frame = stream.frame or _default_frame(stream, mapping)
@@ -133,11 +149,19 @@ def _attitude(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
         attitude = quaternion.from_euler(values[:, 0], values[:, 1], values[:, 2])
     elif stream.order == "xyzw":
         attitude = frames.quaternion_from_xyzw(values)
+    elif stream.order == "xyz":
+        attitude = quaternion_of_vector_part(values)
     else:
         attitude = values
     if mapping.frames.world == "NED":
         attitude = frames.attitude_to_enu(attitude)
     return frames.attitude_of_flu(attitude) if mapping.frames.body == "FRD" else np.asarray(attitude)
+
+
+def quaternion_of_vector_part(vector: Floats) -> Floats:
+    """(n, 4) quaternions of unit length, w first, of their parts x, y and z (n, 3), of which w is not negative."""
+    rest = 1.0 - np.sum(vector**2, axis=1, keepdims=True)
+    return np.hstack([np.sqrt(np.maximum(rest, 0.0)), vector])
 
 
 def _default_frame(stream: MappedStream, mapping: Mapping) -> str:

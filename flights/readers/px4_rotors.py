@@ -48,8 +48,8 @@ def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
     return motors[:, list(order)]
 
 
-def add_servo_outputs(assembly: Assembly, time: Floats, outputs: Floats, source: str) -> None:
-    """Add rotor commands of SERVO_OUTPUT_RAW's outputs as PX4 writes them, in our order if there are four.
+def add_servo_outputs(assembly: Assembly, time: Floats, outputs: Floats, source: str, *, of_px4: bool = True) -> None:
+    """Add rotor commands of pulses of outputs, those of PX4 in our order if there are four.
 
     time: (n,) s. outputs: (n, outputs). Those that move and are no motors are kept as unused.
     """
@@ -62,7 +62,7 @@ def add_servo_outputs(assembly: Assembly, time: Floats, outputs: Floats, source:
         assembly.note(f"{source}: no rotor commands from it: {reason}")
         assembly.leave_out("rotor_command", source, fields, outputs, reason)
         return
-    order = QUAD_X if len(motors) == 4 else None
+    order = QUAD_X if of_px4 and len(motors) == 4 else None
     named = ", ".join(str(column + 1) for column in motors)
     put = "put in our order as PX4's quad x" if order else "left in their order"
     taken = f"taken for motors 1 to {len(motors)} and {put}"

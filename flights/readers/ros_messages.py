@@ -13,6 +13,7 @@ from dynamics import frames
 from dynamics.arrays import Floats
 from dynamics.units import RPM
 from flights.assembly import MAX_VALUE, Assembly
+from flights.readers.px4_rotors import add_servo_outputs
 from flights.velocity_frame import velocity_world
 
 Message = Any  # an instance of a class that rosbags makes of a message's definition
@@ -244,6 +245,14 @@ def _esc(assembly: Assembly, rows: TopicRows) -> None:
     assembly.note(f"{rows.topic}: rotors in the order of the message, which is the autopilot's")
 
 
+def _of_pulses(m: Message) -> Iterable[float]:
+    return [*m.channels]
+
+
+def _pulses(assembly: Assembly, rows: TopicRows) -> None:
+    add_servo_outputs(assembly, rows.time, rows.values, rows.topic, of_px4=False)
+
+
 _Extract = Callable[[Message], Iterable[float]]
 _Convert = Callable[[Assembly, TopicRows], None]
 # Message type, ROS 1's spelt as rosbags does: extraction of a message's numbers, and their conversion to streams.
@@ -258,6 +267,7 @@ CONVERTERS: Mapping[str, tuple[_Extract, _Convert]] = {
     "mavros_msgs/msg/State": (_of_state, _state),
     "mavros_msgs/msg/ExtendedState": (_of_extended_state, _extended_state),
     "mavros_msgs/msg/AttitudeTarget": (_of_attitude_target, _attitude_target),
+    "mavros_msgs/msg/RCOut": (_of_pulses, _pulses),
     "mavros_msgs/msg/ESCTelemetry": (_of_esc, _esc),
     "mavros_msgs/msg/ESCStatus": (_of_esc, _esc),
     "mav_msgs/msg/Actuators": (_of_actuators, _actuators),

@@ -5,6 +5,8 @@ publish an IMU in FRD: what the convention leaves open is detected by the bag's 
 
 The paper's published bags (PI-TCN) are recognised by their three topics, `odom`, `imu` and `motor_rpm` under one
 vehicle's namespace: there the velocity is in the world and the IMU's rates are FRD.
+
+Topics of px4_msgs are read as a ULog's (`px4_messages`). Only messages of a flight's topics are decoded.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import LogContent
+from flights.readers import px4_messages
 from flights.readers.bag_limits import limits_of
+from flights.readers.px4_messages import Px4Samples
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
 from flights.source import Source, TimeSpan
 
@@ -117,7 +121,10 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
     skipped = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c not in connections})
     if skipped:
         assembly.note(f"topics that are none of a flight's quantities: {', '.join(skipped[:12])}")
-    samples: dict[str, Samples] = {}
+    connections = _with_definitions(_of_one_vehicle(connections, assembly), reader, assembly)
+    if not connections:  # for which rosbags would read every message, cameras' as well
+        return
+    samples: dict[str, Samples | Px4Samples] = {}
     start, stop = None, None
     if span is not None:
         start, stop = (reader.start_time + round(edge * 1e9) for edge in (span.start, span.end))
@@ -125,22 +132,47 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
     for connection, stamp, raw in reader.messages(connections=connections, start=start, stop=stop):
         rows = samples.get(connection.topic)
         if rows is None:
-            rows = samples[connection.topic] = Samples(connection.msgtype)
+            is_px4 = px4_messages.is_read(connection.topic, connection.msgtype)
+            rows = samples[connection.topic] = Px4Samples() if is_px4 else Samples(connection.msgtype)
         try:
             rows.add(stamp, reader.deserialize(raw, connection.msgtype))
         except (AnyReaderError, KeyError, ValueError, AttributeError, IndexError) as error:
             assembly.repair(
                 "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
             )
+    px4_messages.add_streams(assembly, {topic: rows for topic, rows in samples.items() if isinstance(rows, Px4Samples)})
     for topic in sorted(samples, key=_preference):
         rows = samples[topic]
-        if len(rows):
+        if isinstance(rows, Samples) and len(rows):
             rows.convert(assembly, topic, is_paper=paper is not None)
 
 
+def _of_one_vehicle(connections: list[Connection], assembly: Assembly) -> list[Connection]:
+    """Connections without the PX4 topics of further vehicles."""
+    of_px4 = [c.topic for c in connections if px4_messages.is_read(c.topic, c.msgtype)]
+    if not of_px4:
+        return connections
+    space = px4_messages.chosen_vehicle(of_px4, assembly)
+    return [c for c in connections if c.topic not in of_px4 or px4_messages.namespace(c.topic) == space]
+
+
+def _with_definitions(connections: list[Connection], reader: AnyReader, assembly: Assembly) -> list[Connection]:
+    """Connections whose messages can be decoded: SQLite bags of ROS 2 Humble and before hold no definitions."""
+    without = [c for c in connections if c.msgtype not in reader.typestore.fielddefs]
+    if without:
+        topics = ", ".join(sorted(f"{c.topic} ({c.msgtype})" for c in without)[:12])
+        assembly.note(
+            f"the bag holds no definitions of its messages, without which {topics} cannot be decoded: convert it where "
+            "these messages are installed (`ros2 bag convert`, storage_id mcap), or record MCAP"
+        )
+    return [c for c in connections if c not in without]
+
+
 def _is_flight_data(connection: Connection, reader: AnyReader) -> bool:
-    if connection.msgtype in CONVERTERS:
+    if connection.msgtype in CONVERTERS or px4_messages.is_read(connection.topic, connection.msgtype):
         return True
+    if connection.msgtype.startswith(px4_messages.PACKAGE):
+        return False
     definition = reader.typestore.fielddefs.get(connection.msgtype)
     return definition is not None and bool(rotor_fields([name for name, _ in definition[1]]))
 

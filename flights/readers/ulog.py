@@ -30,6 +30,7 @@ from flights.source import Source
 AIRFRAME, UTC_START = "sys_uuid", "utc_start"  # of the metadata
 _MIN_UTC = 1e15  # us since 1970; receivers without a fix count from zero or from an old firmware's date
 _MAGIC = b"ULog\x01\x12\x35"
+_ENCRYPTED_MAGIC = b"ULogEnc"
 _HEADER_BYTES = 16
 _MAX_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -38,10 +39,11 @@ _FAR_FASTER = 2.0  # times the samples of the usual source, from which another o
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
 # vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
 _VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
+_FRD_OF_ANY_HEADING = 2  # of pose_frame and velocity_frame: a world frame, whose north is where the vehicle began
 _EXTERNAL = ("vehicle_visual_odometry", "vehicle_mocap_odometry")
 # parameters whose bits say what of it is fused: today's, and vision's position, yaw and velocity before PX4 1.14
 _EXTERNAL_AIDING = {"EKF2_EV_CTRL": 0b1111, "EKF2_AID_MASK": 0b1_0001_1000}
-_TOPICS = (
+TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
     "vehicle_angular_velocity", "sensor_combined", "vehicle_acceleration",
     "vehicle_imu", "sensor_accel", "actuator_armed", "vehicle_status", "vehicle_land_detected",
@@ -59,18 +61,30 @@ pyulog.core.print = _unprinted
 
 
 def matches(source: Source) -> bool:
-    """Whether it begins as a ULog does."""
-    return source.head.startswith(_MAGIC)
+    """Whether it begins as a ULog does, an encrypted one as well."""
+    return source.head.startswith((_MAGIC, _ENCRYPTED_MAGIC))
 
 
 def read(source: Source) -> LogContent:
-    """The streams of a ULog. Raises DataError when even its header cannot be read."""
+    """The streams of a ULog. Raises DataError when even its header cannot be read, and for an encrypted one."""
+    if source.head.startswith(_ENCRYPTED_MAGIC):
+        raise DataError(
+            "this ULog is encrypted: decrypt it with PX4's Tools/decrypt_ulog.py and the private key of the vehicle's "
+            "exchange key (SDLOG_EXCH_KEY), and give the .ulg file."
+        )
     assembly = Assembly()
     log = _parse(source, assembly)
     topics = Topics(log.data_list, assembly)
     numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
     assembly.parameters.update({name: float(value) for name, value in numbers.items()})
     vehicle_type = _describe(log, topics, assembly)
+    add_topics(assembly, topics, vehicle_type)
+    _messages(log, assembly)
+    return assembly.finish()
+
+
+def add_topics(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> None:
+    """Add the streams of PX4's topics, of a ULog or of another recording. vehicle_type: MAV_TYPE, None: not known."""
     for add in _MOTION:
         add(assembly, topics)
     ulog_rotors.add_streams(assembly, topics, vehicle_type)
@@ -79,8 +93,6 @@ def read(source: Source) -> LogContent:
             add(assembly, topics)
         except (KeyError, ValueError, IndexError) as error:  # fields that another version of PX4 has otherwise
             assembly.repair("stream_left_out", f"{add.__name__.strip('_')}: its topic is left out ({error!r})")
-    _messages(log, assembly)
-    return assembly.finish()
 
 
 class _Guarded(io.BufferedReader):
@@ -101,7 +113,7 @@ class _Guarded(io.BufferedReader):
 def _parse(source: Source, assembly: Assembly) -> ULog:
     try:
         with _Guarded(io.FileIO(source.file)) as stream:
-            log = ULog(stream, message_name_filter_list=list(_TOPICS))
+            log = ULog(stream, message_name_filter_list=list(TOPICS))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
     if log.file_corruption:
@@ -292,6 +304,9 @@ def _odometry_velocity(topic: Topic, attitude: Floats | None, assembly: Assembly
     if not topic.has("velocity_frame"):
         assembly.note(f"{topic.name} has no velocity_frame: its velocity is taken for NED, as of PX4 before 1.11")
     in_body = frame == _VELOCITY_BODY
+    if topic.has("velocity[0]", "pose_frame"):  # the pose's own world frame
+        own = (frame == _FRD_OF_ANY_HEADING) & (topic["pose_frame"] == _FRD_OF_ANY_HEADING)
+        frame = np.where(own, float(ned), frame)
     supported = (frame == ned) | (in_body & np.array(attitude is not None))
     velocity = np.where(supported[:, None], frames.enu_from_ned(velocity_logged), np.nan)
     if in_body.any() and attitude is not None:

@@ -104,7 +104,7 @@ def add_command(
     diagnosis: Diagnosis,
     logs: Sequence[Path],
     vehicle: str,
-    options: Mapping[str, str | Path | Sequence[str | Path] | None],
+    options: Mapping[str, str | Path | Sequence[str | Path] | bool | None],
     catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> str:
     """The command that adds what a diagnosis names and a vehicle file can hold, empty where there is nothing.
@@ -116,6 +116,9 @@ def add_command(
         return ""
     words = ["alula", "add", *map(str, logs), "--vehicle", vehicle]
     for name, value in options.items():
+        if isinstance(value, bool):
+            words += [name] * value
+            continue
         values = [value] if isinstance(value, str | Path) else value or []
         words += [word for one in values for word in (name, str(one))]
     return shlex.join(words)

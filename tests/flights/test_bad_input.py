@@ -202,13 +202,6 @@ def test_a_clock_that_stands_still(lines: list[str], tmp_path: Path) -> None:
         _read(tmp_path, lines)
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
-def test_a_time_column_that_is_not_in_seconds(truth: Truth, tmp_path: Path, factor: float) -> None:
-    path = flight_csv(truth._replace(time=truth.time * factor), tmp_path / "flight.csv")
-    with pytest.raises(DataError, match="the time is not in seconds"):
-        read_log(path)
-
-
 def test_a_header_written_as_a_comment(lines: list[str], tmp_path: Path) -> None:
     assert not _repairs(_read(tmp_path, ["# " + lines[0], *lines[1:]]))
 
@@ -373,12 +366,6 @@ def test_a_folder_of_mixed_formats_gives_each_file_or_its_reason(truth: Truth, t
     assert isinstance(results["b.ulg"], AlulaError)
     with pytest.raises(RequestError, match="read a folder of logs"):
         Flight.read(tmp_path)
-
-
-def test_semicolons_and_decimal_commas_are_named_for_what_they_are(tmp_path: Path, lines: list[str]) -> None:
-    changed = [line.replace(",", ";").replace(".", ",") for line in lines]
-    with pytest.raises(RequestError, match="decimal commas"):
-        _read(tmp_path, changed)
 
 
 def test_what_is_cut_off_or_torn_is_damage(tmp_path: Path, lines: list[str]) -> None:

@@ -123,6 +123,19 @@ def test_each_motor_and_axis_is_where_its_authors_say(
     assert log.stream("specific_force") is None, "the column is no accelerometer's"
 
 
+@pytest.mark.parametrize("write", [_csv, _parquet])
+def test_idsias_table_before_its_processing_has_the_motors_commands(tmp_path, truth, arpl_250g, write) -> None:
+    """It holds shares of full command and eRPM, and no speeds: the processing makes those."""
+    table = {name: values for name, values in idsia_table(truth, arpl_250g).items() if "_rads" not in name}
+    places = {motor.replace("rads", "thrust"): place for motor, place in IDSIA_MOTORS.items()}
+    commands = {motor: speed / 2000.0 for motor, speed in _motors(places, truth, arpl_250g).items()}
+    log = read_log(write({**table, **commands}, tmp_path / "flight.bin"))
+    assert log.metadata["mapping"] == "idsia_nanodrone_raw"
+    command = log.stream("rotor_command")
+    assert command is not None
+    assert_allclose(command.values, truth.rotor_speed / 2000.0, rtol=1e-9)
+
+
 def test_a_table_that_lacks_one_column_is_not_that_sets(tmp_path, truth, arpl_250g) -> None:
     table = neurobem_table(truth, arpl_250g)
     del table["vbat"]

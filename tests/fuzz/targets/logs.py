@@ -6,6 +6,7 @@ import contextlib
 import gzip
 import io
 import sqlite3
+import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,13 +22,17 @@ from fixtures.ulog_file import Topic, ulog_file
 from flights import Flight, read_log
 from flights.folder import is_log
 from flights.followed import read_followed
+from flights.one_flight import read_one_flight
 from flights.reading import read_chunks
 from tests.fuzz.mutation import Parts
 from tests.fuzz.target import Target, files_in_folder
+from tests.support.blackbox_table import columns_of, inav_columns, text_of
 from tests.support.flight_files import crazyflie_log, dataflash_log, flight_csv, manoeuvre, paper_bag, ros2_bag, tlog
+from tests.support.px4_bag import ODOMETRY, px4_bag
 
 DATA = Path(__file__).parents[2] / "data"
 CHUNK = 0.1  # s
+BLOCKS = ("imu.csv", "stabilizer.csv")
 TRUTH = manoeuvre(duration=0.25, rate=40.0)
 
 
@@ -128,6 +133,96 @@ def _crazyflie(_: Path) -> list[Parts]:
     real = gzip.decompress((DATA / "imrc_lee_crazyflie" / "log54.gz").read_bytes())
     logs = [crazyflie_log(variables, rows, version=version) for version in (1, 2)]
     return [{"log00": data} for data in (*logs, real[:20_000])]
+
+
+def _blackbox(_: Path) -> list[Parts]:
+    stated = "H Firmware revision:Betaflight 4.5.1\nH acc_1G:2048\nH motorOutput:158,2047\nH gyro_scale:0x3f800000\n"
+    plain, quoted = text_of(columns_of(TRUTH)), text_of(columns_of(TRUTH), preamble=stated, quoted=True)
+    return [{"LOG00001.01.csv": text.encode()} for text in (plain, quoted, text_of(inav_columns(TRUTH)))]
+
+
+def _log_variables(_: Path) -> list[Parts]:
+    folder = DATA / "cfclient"
+    return [{"block.csv": b"\n".join((folder / name).read_bytes().split(b"\n")[:25])} for name in BLOCKS]
+
+
+def _blocks(_: Path) -> list[Parts]:
+    folder = DATA / "cfclient"
+    return [{name: b"\n".join((folder / name).read_bytes().split(b"\n")[:25]) for name in BLOCKS}]
+
+
+def _read_blocks(path: Path) -> object:
+    return Flight.from_log(read_one_flight(sorted(path.iterdir())))
+
+
+LISTS = """name = "lists"
+[time]
+column = "sec"
+fraction = "nanosec"
+[frames]
+world = "ENU"
+body = "FLU"
+[[streams]]
+quantity = "position"
+columns = ["p[0]", "p[1]", "p[2]"]
+[[streams]]
+quantity = "attitude"
+columns = ["q[0]", "q[1]", "q[2]"]
+order = "xyz"
+[[streams]]
+quantity = "rotor_command"
+columns = ["m[0]", "m[1]", "m[2]", "m[3]"]
+unit = "48..2047"
+"""
+
+
+def _lists(_: Path) -> list[Parts]:
+    upright = TRUTH.attitude[:, 1:] * np.sign(TRUTH.attitude[:, :1])
+    rows = zip(TRUTH.time, TRUTH.position, upright, TRUTH.rotor_speed, strict=True)
+    cells = [f'{17 * 10**8},{time * 1e9:.0f},"{p.tolist()}","{q}","{m.tolist()}"' for time, p, q, m in rows]
+    return _one("lists.csv", "\n".join(["sec,nanosec,p,q,m", *cells]).encode())
+
+
+def _read_lists(path: Path) -> object:
+    mapping = path.with_name("mapping.toml")
+    mapping.write_text(LISTS)
+    for _ in zip(range(20), read_chunks(path, CHUNK, mapping=mapping), strict=False):
+        pass
+    return Flight.from_log(read_log(path, mapping=mapping))
+
+
+def _forms(folder: Path) -> list[Parts]:
+    table = pandas.read_csv(flight_csv(TRUTH, folder / "flight.csv"))
+    milliseconds = table.assign(t=np.rint(1e3 * table["t"]).astype(int))
+    clock = table.assign(t=[f"2026-04-01T10:22:{31 + time:06.3f}" for time in table["t"]])
+    texts = (
+        table.to_csv(sep=";", decimal=",", index=False),
+        milliseconds.to_csv(index=False),
+        clock.to_csv(index=False),
+    )
+    return [{"flight.csv": text.encode()} for text in texts]
+
+
+def _zip(folder: Path) -> list[Parts]:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("notes.txt", "windy")
+        packed.write(flight_csv(TRUTH, folder / "flight.csv"), "day/flight.csv")
+    return _one("flight.zip", stream.getvalue())
+
+
+def _px4_bag(folder: Path) -> list[Parts]:
+    messages = (*ODOMETRY, "EscStatus", "VehicleStatus")
+    made = px4_bag(TRUTH, folder / "bag", messages, storage=StoragePlugin.SQLITE3)
+    parts = {file.name: file.read_bytes() for file in made.iterdir()}
+    with sqlite3.connect(next(made.glob("*.db3"))) as database:
+        rows = database.execute("select id, data from messages order by id").fetchall()
+    database.close()
+    return [parts | {f"row {number}": data for number, data in rows}]
+
+
+def _encrypted(_: Path) -> list[Parts]:
+    return _one("flight.ulge", b"ULogEnc\x01" + bytes(range(200)))
 
 
 def _betaflight(_: Path) -> list[Parts]:
@@ -245,6 +340,14 @@ TARGETS = (
     _target("crazyflie", _crazyflie),
     _target("dataflash", lambda _: _one("flight.bin", dataflash_log(TRUTH))),
     _target("betaflight", _betaflight),
+    _target("blackbox_csv", _blackbox),
+    _target("log_variables", _log_variables),
+    Target("one_flight", _blocks, _read_blocks, files_in_folder, 20),
+    _target("table_forms", _forms, 60),
+    Target("lists", _lists, _read_lists, executions=40),
+    _target("zip", _zip, 60),
+    Target("px4_messages", _px4_bag, read, _sqlite, 5),
+    _target("encrypted_ulog", _encrypted, 10),
     _target("tlog", _tlog),
     _target("rosbag1", _bag, 12),
     Target("rosbag2_sqlite", partial(_bag2, StoragePlugin.SQLITE3), read, files_in_folder, 15),
