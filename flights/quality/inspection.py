@@ -17,6 +17,7 @@ from flights.assembly import EMPTY
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
+from flights.hypotheses import explain
 from flights.log import Log, Repair
 from flights.pose_source import PoseSource
 from flights.quality import advice
@@ -159,9 +160,15 @@ def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
 
 
 def _framed(log: Log) -> list[Finding]:
-    contradictions = plausibility.check(log.streams)
+    found = [
+        Finding("error", h.name, f"{h.text} ({h.evidence})", f"repair: {h.lines} in a mapping file; --repair FILE writes it",
+                fatal=True)
+        for h in explain(log.streams)
+    ]  # fmt: skip
     advised = "convert it, or give a column mapping"
-    return [Finding("error", item.name, item.text, advised, fatal=True) for item in contradictions]
+    return found or [
+        Finding("error", item.name, item.text, advised, fatal=True) for item in plausibility.check(log.streams)
+    ]
 
 
 def _actuation(log: Log) -> list[Finding]:
