@@ -15,9 +15,9 @@ import numpy as np
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
+from dynamics.spelling import nearest
 from flights.log import LogContent, Repair, Stream
 from flights.quantities import QUANTITIES
-from dynamics.spelling import nearest
 
 TIME = "time"  # the time of all quantities
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
@@ -78,7 +78,8 @@ class StreamRepair(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
 
     def __str__(self) -> str:
         """The repair as the lines of a mapping file."""
-        return "[[repairs]]\n" + "\n".join(f"{name} = {toml_value(value)}" for name, value in msgspec.to_builtins(self).items())
+        lines = [f"{name} = {toml_value(value)}" for name, value in msgspec.to_builtins(self).items()]
+        return "\n".join(["[[repairs]]", *lines])
 
 
 def matrix_of(axes: Sequence[str], turn: Sequence[Sequence[float]], quantity: str) -> Floats:
@@ -140,15 +141,17 @@ def _attitude(values: Floats, repair: StreamRepair) -> Floats:
     world = quaternion.from_rotation_matrix(matrix_of(repair.axes, repair.turn, repair.quantity))
     body = quaternion.from_rotation_matrix(matrix_of(repair.body_axes, repair.body_turn, repair.quantity))
     values = quaternion.multiply(quaternion.multiply(world, values), quaternion.conjugate(body))
-    good = np.isfinite(values).all(axis=1)
-    return np.where(good[:, None], quaternion.continuous(np.where(good[:, None], values, [1.0, 0.0, 0.0, 0.0])), np.nan)
+    good = np.flatnonzero(np.isfinite(values).all(axis=1))
+    repaired_values = np.full_like(values, np.nan)
+    repaired_values[good] = quaternion.continuous(values[good]) if len(good) else values[good]
+    return repaired_values
 
 
 def evenly(time: Floats) -> Floats:
     """(n,) stamps at whole periods, of samples that were stamped in bursts, when they arrived.
 
     The period is the median time of a burst for each of its samples, then the slope through the last of each burst, so
-    that lost samples leave a gap. No sample is stamped before it was taken: the promptest burst gives the line's height.
+    that lost samples leave a gap. No sample is stamped before it was taken: the promptest gives the line's height.
     """
     if len(time) < _MIN_FOR_PERIOD:
         return time

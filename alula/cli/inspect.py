@@ -60,6 +60,10 @@ def inspect(
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
+    repair: Annotated[
+        Path | None,
+        typer.Option(help="Write a mapping file that repairs what the columns are found to be, and inspect by it."),
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
     """Check logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
@@ -68,6 +72,7 @@ def inspect(
     refused: list[AlulaError] = []
     note_skipped(log, mapping)
     paths = log_paths(log, mapping)
+    mapping = mapping if repair is None else _repaired(paths, mapping, repair)
     for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping, pose=pose)
@@ -97,6 +102,22 @@ def inspect(
         print_next(
             *(["vehicle", "from-log", *log, *options([("--system", system)])] if states_layout else ["vehicle", "new"])
         )
+
+
+def _repaired(paths: list[Path], mapping: Path | None, repair: Path) -> Path | None:
+    """The mapping to read logs by: a new file with the repairs of the first, or the given one where it needs none."""
+    from flights.hypotheses.mapping_file import write_repairs
+    from flights.reading import found_hypotheses
+
+    found = found_hypotheses(paths[0], mapping=mapping)
+    if not found:
+        print(
+            f"nothing to repair: the columns of {printable(str(paths[0]))} agree, or move too little", file=sys.stderr
+        )
+        return mapping
+    write_repairs(found, repair, log=paths[0], mapping=mapping)
+    print(f"written: {repair}; give it as --mapping to the other commands", file=sys.stderr)
+    return repair
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:

@@ -14,7 +14,7 @@ from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
 from flights.stream_repair import TIME, StreamRepair, evenly
 
-_SLOWEST = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s, of any flight log
+_SLOWEST = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s, of any log
 _FASTEST = 1 / 20_000  # s
 _UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _USUAL = (1 / 20_000, 0.5)  # s between samples of a flight log
@@ -52,10 +52,10 @@ def bursts(streams: Mapping[str, Stream]) -> list[Hypothesis]:
         found.append(
             Hypothesis(
                 "burst_stamps",
-                f"{name} is stamped in bursts: {1 / even:.0f} Hz by count, while {close.mean():.0%} of its stamps follow "
-                f"within {1e3 * float(np.median(inside[close])):.2g} ms",
-                f"up to {1e3 * float(inside.max()):.0f} ms without a sample, then several at once; even stamps differ by "
-                f"{1e3 * worst:.0f} ms at most",
+                f"{name} is stamped in bursts: {1 / even:.0f} Hz by count, while {close.mean():.0%} of its stamps "
+                f"follow within {1e3 * float(np.median(inside[close])):.2g} ms",
+                f"up to {1e3 * float(inside.max()):.0f} ms without a sample, then several at once; even stamps differ "
+                f"by {1e3 * worst:.0f} ms at most",
                 (StreamRepair(name, even=True),),
             )
         )
@@ -117,10 +117,7 @@ def _sizes(stream: Stream) -> tuple[float, Floats] | None:
     if len(time) < _MIN_OVERLAP * GRID_RATE:
         return None
     values = resample(stream, time)
-    if stream.name == "attitude":
-        vectors = Motion({}).turning(values)
-    else:
-        vectors = span_mean(span_mean(values))
+    vectors = Motion({}).turning(values) if stream.name == "attitude" else span_mean(span_mean(values))
     sizes = np.linalg.norm(vectors, axis=1)
     finite = np.isfinite(sizes)
     if finite.mean() < 0.5 or not float(np.std(sizes[finite])) > 0.05:  # rad/s: too little motion tells no time
@@ -161,5 +158,3 @@ def _correlations(one: Floats, other: Floats, shifts: np.ndarray) -> Floats:
     at = np.searchsorted(lags, shifts)
     size = np.sqrt(np.maximum(power_one[at] * power_other[at], 1e-12))
     return np.asarray(product[at] / size)
-
-

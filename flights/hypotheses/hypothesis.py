@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
 
-from flights.stream_repair import StreamRepair, toml_value
+from flights.log import Stream
+from flights.stream_repair import TIME, StreamRepair, apply, toml_value
+
+Streams = Mapping[str, Stream]  # by quantity
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,20 @@ class Hypothesis:
         inline = ", ".join("{" + ", ".join(f"{k} = {toml_value(v)}" for k, v in t.items()) + "}" for t in tables)
         return f"repairs = [{inline}]"
 
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return f"repair: {self.lines} in a mapping file, which `alula inspect LOG --repair FILE` writes"
+
     def __str__(self) -> str:
-        """Statement, evidence and repair, for people."""
-        return f"{self.text} ({self.evidence}). Repair: {self.lines} in a mapping file, which --repair FILE writes."
+        """Statement, evidence and advice, for people."""
+        return f"{self.text} ({self.evidence}). R{self.advice[1:]}."
+
+
+def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:
+    """The streams as a hypothesis repairs them."""
+    repaired = dict(streams)
+    for repair in hypothesis.repairs:
+        concerned = [name for name in repaired if repair.quantity in (TIME, name)]
+        repaired |= {name: apply(repaired[name], repair) for name in concerned}
+    return repaired

@@ -21,6 +21,7 @@ from flights.quantities import MOTION
 GRID_RATE = 50.0  # Hz
 MAX_ROWS = 20_000  # 400 s: more motion decides nothing further
 SPAN = 5  # steps, 0.1 s
+MIN_SPEED = 0.15  # m/s rms, below which position and velocity cannot be compared
 _LONGEST_TURN = 2.0  # rad in a span: beyond, a rotation vector is not the mean rate times time
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -105,8 +106,10 @@ def change(values: Floats) -> Floats:
 def span_mean(values: Floats) -> Floats:
     """(n - 5, k) mean of values (n, k) over a span by the trapezium rule; NaN where one of them is."""
     steps = 0.5 * (values[1:] + values[:-1])
-    finite = np.isfinite(steps).all(axis=1)
-    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.where(finite[:, None], steps, 0.0), axis=0)])
+    finite = np.asarray(np.isfinite(steps).all(axis=1))
+    sums = np.concatenate(
+        [np.zeros((1, values.shape[1])), np.cumsum(np.where(finite.reshape(-1, 1), steps, 0.0), axis=0)]
+    )
     gaps = np.concatenate([[0], np.cumsum(~finite)])
     mean = (sums[SPAN:] - sums[:-SPAN]) / SPAN
     return np.where((gaps[SPAN:] - gaps[:-SPAN])[:, None] > 0, np.nan, mean)

@@ -10,22 +10,24 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import both, rms
-from flights.hypotheses.motion import Motion
+from flights.hypotheses.motion import Motion, change
 from flights.hypotheses.rotation import FRD, NED, Fit, fitted, is_none, is_whole, least_turn, snapped
 
 _HEADING = np.deg2rad(15.0)  # by which an estimator's north may be off motion capture's axes: 9 degrees in NanoBench
 MIN_TURNING = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 MIN_ACCELERATION = 0.3  # m/s^2 rms of specific force in the world that must vary
 MIN_LATERAL = 0.25  # m/s^2 rms along body x and y, below which a turn of the accelerometer about z does not show
+_MIN_ROWS = 100  # that can be compared
 _CLEAR_LATERAL = 0.6  # correlation of lateral force and what the pose needs, at the best turn,
 _CLEARER = 0.25  # and by which it must exceed that without a turn
 COST = 0.02  # of the share that closes, for an assumption that a reading adds to what was declared
-_WHOLE, _ANY, _MIRRORED = 1.5, 2.0, 2.5  # assumptions that a turn of whole axes, any other and a left-handed one count as
+_WHOLE, _ANY, _MIRRORED = 1.5, 2.0, 2.5  # assumptions that a turn of whole axes, any other, a left-handed one are
 CLOSES = 0.5  # share of motion beyond which a pair closes
 UPRIGHT = np.deg2rad(25.0)  # between a direction and an axis that count as one
 
@@ -58,7 +60,8 @@ class Reading:
         """The number of things that are other than declared; turns count as more than a usual convention."""
         turns = [fit.turn for fit in (self.rate, self.world) if fit is not None]
         sensor = np.eye(3) if self.rate is None else self.rate.turn
-        is_down = self.up_attitude[2] < -np.cos(UPRIGHT) and np.array_equal(self.force_turn, FRD) and not any(map(_odd, turns))
+        is_down = self.up_attitude[2] < -np.cos(UPRIGHT) and np.array_equal(self.force_turn, FRD)  # NED and FRD
+        is_down = is_down and not any(map(_odd, turns))
         if not is_none(self.force_turn @ sensor.T) and not is_down:
             turns.append(self.force_turn)
         conventions = (self.order == "xyzw") + self.conjugate + (not upright(self.up_attitude))
@@ -104,7 +107,7 @@ def declared(motion: Motion) -> Reading | None:
     return max(_read(motion, "wxyz", conjugate=False), key=lambda one: one.score)
 
 
-def _read(motion: Motion, order: str, conjugate: bool) -> list[Reading]:  # noqa: FBT001
+def _read(motion: Motion, order: str, conjugate: bool) -> list[Reading]:
     reading = Reading(order, conjugate, None, None)
     attitude = reading.attitude(motion.values["attitude"])
     rate = _rate(motion, attitude)
@@ -157,10 +160,11 @@ def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
     up = reading.world.turn @ reading.up_attitude
     needed = acceleration / reading.world.gain + GRAVITY * up
     body = quaternion.rotate_inverse(middle, needed @ reading.world.turn)
-    pair = both(body, motion.force @ reading.force_turn)
-    if pair is None:
+    force = motion.force @ reading.force_turn
+    finite = np.isfinite(body).all(axis=1) & np.isfinite(force).all(axis=1)
+    if np.count_nonzero(finite) < _MIN_ROWS:
         return None
-    x, y = ((values - np.median(values, axis=0))[:, :2] for values in pair)
+    x, y = (_without_lever(motion, values, finite)[:, :2] for values in (body, force))
     size = np.sqrt(np.sum(x**2) * np.sum(y**2))
     if min(rms(x), rms(y)) < MIN_LATERAL or size == 0.0:
         return None
@@ -174,6 +178,17 @@ def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
     cosine, sine = (mirrored if is_mirrored else proper) / np.linalg.norm(mirrored if is_mirrored else proper)
     hand = -1.0 if is_mirrored else 1.0
     return snapped(np.array([[cosine, -hand * sine, 0.0], [sine, hand * cosine, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def _without_lever(motion: Motion, values: Floats, finite: NDArray[np.bool_]) -> Floats:
+    """The finite rows (m, 3) of values (n, 3) less what angular acceleration explains, as on a lever arm."""
+    if not motion.has("rate"):
+        return values[finite] - np.median(values[finite], axis=0)
+    rate, turned = motion.rate, change(motion.values["rate"])
+    cut = (len(turned) - len(rate)) // 2
+    columns = np.hstack([np.ones((len(rate), 1)), turned[cut : cut + len(rate)]])
+    rows = np.nan_to_num(columns[finite])
+    return np.asarray(values[finite] - rows @ np.linalg.lstsq(rows, values[finite], rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ def fitted(x: Floats, y: Floats, *, mirrored: bool = False, snap: float = SNAP) 
     turn = snapped(turn, snap) if _is_repeated(turn, x, y) else _nearest(turn)
     along = float(np.sum(turn * product))
     for usual in USUAL:  # of turns that the motion hardly tells apart the most usual one
-        if 0.0 < along and float(np.sum(usual * product)) > np.sqrt(1 - _ALIKE) * along:
+        if along > 0.0 and float(np.sum(usual * product)) > np.sqrt(1 - _ALIKE) * along:
             turn, along = usual, float(np.sum(usual * product))
             break
     return Fit(turn, along / size_x, max(along, 0.0) ** 2 / (size_x * size_y), max(plain, 0.0) ** 2)

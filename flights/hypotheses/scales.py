@@ -1,4 +1,4 @@
-"""Units of motion, by the sizes of signals that must be one: those are the same in all axes and any order of columns."""
+"""Units of motion, by the sizes of signals that must be one: these are the same in all axes and any order."""
 
 from __future__ import annotations
 

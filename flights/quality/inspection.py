@@ -161,10 +161,9 @@ def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
 
 def _framed(log: Log) -> list[Finding]:
     found = [
-        Finding("error", h.name, f"{h.text} ({h.evidence})", f"repair: {h.lines} in a mapping file; --repair FILE writes it",
-                fatal=True)
-        for h in explain(log.streams)
-    ]  # fmt: skip
+        Finding("error", one.name, f"{one.text} ({one.evidence})", one.advice, fatal=True)
+        for one in explain(log.streams)
+    ]
     advised = "convert it, or give a column mapping"
     return found or [
         Finding("error", item.name, item.text, advised, fatal=True) for item in plausibility.check(log.streams)
