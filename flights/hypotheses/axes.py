@@ -33,12 +33,16 @@ def of_pose(streams: Streams) -> list[Hypothesis]:
     repairs = _pose_repairs(reading, turns, streams)
     if not repairs:
         return []
-    before = ", ".join(f"{c:.2f}" for c in as_declared.closures)
-    after = ", ".join(f"{c:.2f}" for c in reading.closures)
-    names = [n for n, fit in (("turning and rates", reading.rate), ("acceleration and force", reading.world)) if fit]
-    evidence = f"of {' and '.join(names)} {after} of the motion then agrees"
-    if reading is not as_declared:
-        evidence += f", as declared {before}"
+    pairs = [
+        (name, getattr(reading, part), getattr(as_declared, part))
+        for name, part in (("turning and rates", "rate"), ("acceleration and force", "world"))
+    ]
+    closes = [
+        f"{fit.closed:.2f} of {name} agrees then, {0.0 if plain is None else plain.plain:.2f} as declared"
+        for name, fit, plain in pairs
+        if fit is not None
+    ]
+    evidence = "; ".join(closes)
     return [Hypothesis(_name(reading, turns), _text(reading, turns), evidence, tuple(repairs))]
 
 

@@ -28,6 +28,7 @@ from flights.quality.identifiable import EffectAnswer, answers
 from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
 from flights.quantities import MOTION, RESET_COUNTERS
+from flights.readers.bag_clocks import CLOCK_STEP, OTHER_CLOCK
 from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
@@ -94,6 +95,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     usable = _usable(log)
     findings = [
         *_framed(log),
+        *_other_clocks(log),
         *_actuation(log),
         *_empty(log),
         *_amount(measured, log),
@@ -168,6 +170,12 @@ def _framed(log: Log) -> list[Finding]:
     return found or [
         Finding("error", item.name, item.text, advised, fatal=True) for item in plausibility.check(log.streams)
     ]
+
+
+def _other_clocks(log: Log) -> list[Finding]:
+    """Topics of a bag that another clock stamped, or whose clock was set."""
+    repairs = [repair for repair in log.provenance.repairs if repair.name in (OTHER_CLOCK, CLOCK_STEP)]
+    return [Finding("warning", r.name, r.detail, "stamp all sensors by one clock (chrony, timesync)") for r in repairs]
 
 
 def _actuation(log: Log) -> list[Finding]:

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import ReaderError as Reader1Error
@@ -26,6 +27,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import LogContent
+from flights.readers.bag_clocks import clocks_of
 from flights.readers.bag_limits import limits_of
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
 from flights.source import Source, TimeSpan
@@ -132,10 +134,14 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
             assembly.repair(
                 "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
             )
-    for topic in sorted(samples, key=_preference):
-        rows = samples[topic]
-        if len(rows):
-            rows.convert(assembly, topic, is_paper=paper is not None)
+    stamped = {topic: rows for topic, rows in samples.items() if len(rows)}
+    clocks = clocks_of(
+        {topic: np.array(rows.stamps) for topic, rows in stamped.items()},
+        {topic: np.array(rows.recorded) for topic, rows in stamped.items()},
+        assembly,
+    )
+    for topic in sorted(stamped, key=_preference):
+        stamped[topic].convert(assembly, topic, clocks[topic], is_paper=paper is not None)
 
 
 def _is_flight_data(connection: Connection, reader: AnyReader) -> bool:
