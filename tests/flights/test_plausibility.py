@@ -73,12 +73,21 @@ def test_real_flights_contradict_nothing(log: Path) -> None:
         (late("velocity", 0.2), r"s (late|early) against the rest of the motion"),
         (late("rate", -0.3), r"the gyro is on another clock than the attitude: 0\.30 s early"),
         (late("rate", -0.1), r"the gyro is on another clock than the attitude: 0\.10 s early"),
-        (lambda f: quantity(f, "specific_force", f["specific_force"] * [-1.0, 1.0, 1.0]), "accelerometer has left-handed axes .* -x, y, z"),
-        (ordered("rate", [1, 0, 2]), r"the gyro (has left-handed axes|is turned by 180.0 degrees about \(0.71, 0.71, 0.00\))"),
+        (
+            lambda f: quantity(f, "specific_force", f["specific_force"] * [-1.0, 1.0, 1.0]),
+            "accelerometer has left-handed axes .* -x, y, z",
+        ),
+        (
+            ordered("rate", [1, 0, 2]),
+            r"the gyro (has left-handed axes|is turned by 180.0 degrees about \(0.71, 0.71, 0.00\))",
+        ),
         (ordered("velocity", [1, 0, 2]), "the velocity has left-handed axes"),
         (lambda f: quantity(f, "rate", f["rate"] * [1.0, 0.0, 1.0]), "about y stands still"),
         (lambda f: quantity(f, "rate", frames.flu_from_frd(f["rate"])), "the gyro is in FRD axes"),
-        (lambda f: quantity(f, "specific_force", frames.flu_from_frd(f["specific_force"])), "the accelerometer is in FRD axes"),
+        (
+            lambda f: quantity(f, "specific_force", frames.flu_from_frd(f["specific_force"])),
+            "the accelerometer is in FRD axes",
+        ),
     ],
     ids=[
         "world axes",
