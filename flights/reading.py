@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -176,7 +176,8 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     if not content.streams:
         raise DataError(f"{path} is a {form.label} without flight data. {' '.join(content.notes)}".rstrip())
     notes = list(content.notes)
-    for text in contradictions(content.streams):
+    found = [str(hypothesis) for hypothesis in explain(content.streams)]
+    for text in found or [finding.text for finding in plausibility.check(content.streams)]:
         if not form.declares_frames:
             raise DataError(f"{path}: {text}")
         notes.append(text)
@@ -185,12 +186,6 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     )
     metadata = {**content.metadata, pose_source.KEY: pose_source.known_source(name, content)}
     return Log(content.streams, provenance, content.start, metadata, content.parameters, content.events)
-
-
-def contradictions(streams: Sequence[Stream]) -> tuple[str, ...]:
-    """What the streams are other than declared, and where they contradict each other for no cause that is known."""
-    found = tuple(f"{hypothesis}" for hypothesis in explain(streams))
-    return found or tuple(finding.text for finding in plausibility.check(streams))
 
 
 def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:

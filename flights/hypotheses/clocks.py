@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from dynamics.arrays import Floats
 from flights.alignment import resample
-from flights.hypotheses.hypothesis import Hypothesis
-from flights.hypotheses.motion import GRID_RATE, Motion, span_mean
+from flights.hypotheses.hypothesis import Hypothesis, Streams
+from flights.hypotheses.motion import GRID_RATE, Motion
 from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
 from flights.stream_repair import TIME, StreamRepair, evenly
@@ -22,6 +20,9 @@ _BURST = 0.25  # of the mean period, below which a step belongs to a burst; jitt
 _BURST_SHARE = 0.3  # of the steps
 _MIN_SAMPLES = 100
 _GAP = 10.0  # mean periods, beyond which a step is a gap rather than the pause between bursts
+_MIN_COVERED = 0.5  # share of a stream's time that has samples
+_MIN_CHANGE = 0.05  # rad/s or m/s by which its size varies: less tells no time
+_PAIRS = (("attitude", "rate", ("rate", "specific_force")), ("position", "velocity", ("velocity",)))
 _REACH = 60.0  # s by which clocks may differ
 _MIN_OVERLAP = 10.0  # s that are compared
 _CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
@@ -30,7 +31,7 @@ _BETTER = 0.15  # and by which it exceeds that without, and
 _UNIQUE = 0.03  # that at any other shift further than a second
 
 
-def bursts(streams: Mapping[str, Stream]) -> list[Hypothesis]:
+def bursts(streams: Streams) -> list[Hypothesis]:
     """Streams whose samples were stamped when they were published, several at once."""
     found = []
     for name in (*MOTION, *ROTORS):
@@ -62,7 +63,7 @@ def bursts(streams: Mapping[str, Stream]) -> list[Hypothesis]:
     return found
 
 
-def time_unit(streams: Mapping[str, Stream]) -> list[Hypothesis]:
+def time_unit(streams: Streams) -> list[Hypothesis]:
     """A time that is in no seconds, by a rate that no flight log has."""
     slow = {n: s.period for n, s in streams.items() if n in _SLOWEST and _SLOWEST[n] < s.period < np.inf}
     fast = {n: s.period for n, s in streams.items() if n in _SLOWEST and s.period < _FASTEST}
@@ -85,42 +86,45 @@ def time_unit(streams: Mapping[str, Stream]) -> list[Hypothesis]:
     return []
 
 
-def offsets(streams: Mapping[str, Stream]) -> list[Hypothesis]:
-    """A pose and a gyro that are stamped by different clocks, by the size of what turns: the same in all axes."""
-    if not {"attitude", "rate"} <= streams.keys():
-        return []
-    turning, rate = _sizes(streams["attitude"]), _sizes(streams["rate"])
-    if turning is None or rate is None:
-        return []
-    (start, one), (begin, other) = turning, rate
+def offsets(streams: Streams) -> list[Hypothesis]:
+    """Streams of one motion that are stamped by different clocks, by its size: that is the same in all axes."""
+    return [found for pair in _PAIRS if (found := _offset(streams, *pair)) is not None]
+
+
+def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, ...]) -> Hypothesis | None:
+    if not {name, other_name} <= streams.keys():
+        return None
+    ours, others = _sizes(streams[name]), _sizes(streams[other_name])
+    if ours is None or others is None:
+        return None
+    (start, one), (begin, other) = ours, others
     shift, follows, without = _best_shift(one, other, round((begin - start) * GRID_RATE))
-    seconds = begin - start - shift / GRID_RATE  # the rates' stamps are late by so much
-    if follows < _FOLLOWS or follows - without < _BETTER or abs(seconds) < _CLEAR_SHIFT:
-        return []
-    late = round(seconds, 3)
-    concerned = [name for name in ("rate", "specific_force") if name in streams]
-    state = "late" if late > 0 else "early"
-    return [
-        Hypothesis(
-            "clock",
-            f"the gyro is on another clock than the attitude: {abs(late):.2f} s {state}",
-            f"sizes of rates and turning follow each other by {follows:.2f} at that shift, by {max(without, 0.0):.2f} "
-            "without",
-            tuple(StreamRepair(name, late=late) for name in concerned),
-        )
-    ]
+    late = round(begin - start - shift / GRID_RATE, 3)  # s by which the other's stamps are late
+    if follows < _FOLLOWS or follows - without < _BETTER or abs(late) < _CLEAR_SHIFT:
+        return None
+    return Hypothesis(
+        "clock",
+        f"the {other_name} is on another clock than the {name}: {abs(late):.2f} s {'late' if late > 0 else 'early'}",
+        f"their sizes follow each other by {follows:.2f} at that shift, by {max(without, 0.0):.2f} without",
+        tuple(StreamRepair(moved, late=late) for moved in late_with if moved in streams),
+    )
 
 
 def _sizes(stream: Stream) -> tuple[float, Floats] | None:
-    """Start, s, and (n,) sizes of the body rates, or of an attitude's turning, on a grid of its own."""
+    """Start, s, and (n,) sizes of a stream's motion, on a grid of its own; None for one that moves too little."""
     time = np.arange(stream.time[0], stream.time[-1], 1 / GRID_RATE)
     if len(time) < _MIN_OVERLAP * GRID_RATE:
         return None
-    values = resample(stream, time)
-    vectors = Motion({}).turning(values) if stream.name == "attitude" else span_mean(span_mean(values))
+    motion = Motion({stream.name: resample(stream, time)})
+    vectors = {
+        "attitude": lambda: motion.turning(motion.values["attitude"]),
+        "rate": lambda: motion.rate,
+        "position": lambda: motion.moved,
+        "velocity": lambda: motion.velocity,
+    }[stream.name]()
     sizes = np.linalg.norm(vectors, axis=1)
     finite = np.isfinite(sizes)
-    if finite.mean() < 0.5 or not float(np.std(sizes[finite])) > 0.05:  # rad/s: too little motion tells no time
+    if finite.mean() < _MIN_COVERED or not float(np.std(sizes[finite])) > _MIN_CHANGE:
         return None
     return float(time[0]), np.where(finite, sizes, np.median(sizes[finite]))
 

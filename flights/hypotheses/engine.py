@@ -16,6 +16,7 @@ from flights.hypotheses.pose import CLOSES
 from flights.log import Stream
 from flights.stream_repair import StreamRepair
 
+_FAR, _FAR_FOLLOWS = 8.0, 0.1  # ratio beyond which no error makes it, and the correlation that it needs
 _FOLLOWS = 0.6  # correlation of sizes beyond which a unit is compared
 _SURELY = 0.95  # the same, and share that closes, for a factor that is no unit's: errors change sizes as well
 _IMPOSSIBLE_SPEED = 150.0  # m/s, faster than any multirotor flies
@@ -39,7 +40,7 @@ def _gyro_unit(streams: Streams) -> list[Hypothesis]:
     if not motion.has("attitude", "rate"):
         return []
     compared = scales.of_lengths(motion.rate, motion.turning(motion.values["attitude"]), pose.MIN_TURNING)
-    if compared is None or compared[1] < _FOLLOWS:
+    if compared is None or not _is_clear(*compared):
         return []
     found = scales.named(compared[0], scales.ANGLES)
     if found is None or not (found[0] or compared[1] > _SURELY):
@@ -82,12 +83,29 @@ def _lengths(streams: Streams) -> list[Hypothesis]:
     else:
         found += _impossible(motion, faster)
     if faster == "velocity" and "position" in streams:
-        motion = Motion.of(after(streams, found[0]) if found else streams)
-        compared = scales.of_lengths(motion.moved, motion.velocity, MIN_SPEED)
-        one = None if compared is None or compared[1] < _FOLLOWS else scales.named(compared[0], scales.LENGTHS)
-        if compared is not None and one is not None and (one[0] or compared[1] > _SURELY):
-            found.append(_length("position", one, f"it changes by {compared[0]:.3g} times the velocity"))
+        found += _beside_velocity(after(streams, found[0]) if found else streams)
     return found
+
+
+def _beside_velocity(streams: Streams) -> list[Hypothesis]:
+    """Units of position and velocity by each other: which of both is in a unit that people use."""
+    motion = Motion.of(streams)
+    compared = scales.of_lengths(motion.moved, motion.velocity, MIN_SPEED)
+    if compared is None or not _is_clear(*compared):
+        return []
+    ratio = compared[0]
+    slower = scales.named(1 / ratio, scales.LENGTHS)
+    if slower is not None and slower[0]:
+        return [_length("velocity", slower, f"it is {1 / ratio:.3g} times the position's change")]
+    one = scales.named(ratio, scales.LENGTHS)
+    if one is None or not (one[0] or compared[1] > _SURELY):
+        return []
+    return [_length("position", one, f"it changes by {ratio:.3g} times the velocity")]
+
+
+def _is_clear(ratio: float, following: float) -> bool:
+    """Whether sizes that follow each other so far tell a unit; of a far ratio errors of either make none."""
+    return following > (_FOLLOWS if 1 / _FAR < ratio < _FAR else _FAR_FOLLOWS)
 
 
 def _length(quantity: str, found: tuple[str, float], evidence: str) -> Hypothesis:

@@ -17,7 +17,18 @@ from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import both, rms
 from flights.hypotheses.motion import Motion, change
-from flights.hypotheses.rotation import FRD, NED, Fit, fitted, is_none, is_whole, least_turn, snapped
+from flights.hypotheses.rotation import (
+    ALIKE,
+    FRD,
+    NED,
+    Fit,
+    fitted,
+    fitted_beside,
+    is_none,
+    is_whole,
+    least_turn,
+    snapped,
+)
 
 _HEADING = np.deg2rad(15.0)  # by which an estimator's north may be off motion capture's axes: 9 degrees in NanoBench
 MIN_TURNING = 0.1  # rad/s rms, below which attitude and rates cannot be compared
@@ -96,7 +107,7 @@ def readings(motion: Motion) -> list[Reading]:
     if not motion.has("attitude"):
         return []
     ways = [(order, conjugate) for order in ("wxyz", "xyzw") for conjugate in (False, True)]
-    found = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate)]
+    found = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate=conjugate)]
     return sorted((one for one in found if one.closures), key=lambda one: -one.score)
 
 
@@ -107,21 +118,38 @@ def declared(motion: Motion) -> Reading | None:
     return max(_read(motion, "wxyz", conjugate=False), key=lambda one: one.score)
 
 
-def _read(motion: Motion, order: str, conjugate: bool) -> list[Reading]:
-    reading = Reading(order, conjugate, None, None)
-    attitude = reading.attitude(motion.values["attitude"])
-    rate = _rate(motion, attitude)
-    turns = [np.eye(3), FRD]  # without an accelerometer the thrust's direction stands for it
-    if rate is not None and rate.is_turned and rate.closed > CLOSES and np.linalg.det(rate.turn) > 0:
-        turns.append(rate.turn)
-    return [_with_world(motion, attitude, Reading(order, conjugate, rate, None, turn)) for turn in turns]
+def _read(motion: Motion, order: str, *, conjugate: bool) -> list[Reading]:
+    attitude = Reading(order, conjugate, None, None).attitude(motion.values["attitude"])
+    ways: list[tuple[Fit | None, Floats]] = []
+    for rate in _rates(motion, attitude):
+        # without an accelerometer the thrust's direction stands for it
+        ways += [(rate, np.eye(3)), (rate, FRD)]
+        if rate is not None and rate.is_turned and np.linalg.det(rate.turn) > 0:
+            ways.append((rate, rate.turn))
+    return [_with_world(motion, attitude, Reading(order, conjugate, rate, None, force)) for rate, force in ways]
 
 
-def _rate(motion: Motion, attitude: Floats) -> Fit | None:
-    if not motion.has("rate"):
-        return None
-    pair = both(motion.turning(attitude), motion.rate)
-    return None if pair is None or rms(pair[0]) < MIN_TURNING else fitted(*pair, mirrored=True)
+def _rates(motion: Motion, attitude: Floats) -> list[Fit | None]:
+    """Turns from the attitude's body axes to the gyro's: by motion alone, and as one with the accelerometer."""
+    pair = both(motion.turning(attitude), motion.rate) if motion.has("rate") else None
+    if pair is None or rms(pair[0]) < MIN_TURNING:
+        return [None]
+    alone = _closing(fitted(*pair, mirrored=True))
+    if not motion.has("specific_force"):
+        return [alone]
+    beside = fitted_beside(*pair, np.array([0.0, 0.0, 1.0]), _usual_force(motion))
+    as_well = beside.closed > CLOSES and beside.closed > alone.closed - ALIKE and beside.is_turned
+    return [alone, beside] if as_well and not np.allclose(beside.turn, alone.turn) else [alone]
+
+
+def _usual_force(motion: Motion) -> Floats:
+    force = motion.values["specific_force"]
+    return _direction(force[np.isfinite(force).all(axis=1)])
+
+
+def _closing(fit: Fit) -> Fit:
+    """A fit, without the turn of one that does not close, which is that of noise."""
+    return fit if fit.closed > CLOSES else Fit(np.eye(3), fit.gain, fit.plain, fit.plain)
 
 
 def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
@@ -130,13 +158,12 @@ def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
     up = _direction(finite)
     sensor = np.array([0.0, 0.0, 1.0])
     if motion.has("specific_force"):
-        logged = motion.values["specific_force"]
-        sensor = _direction(logged[np.isfinite(logged).all(axis=1)])
+        sensor = _usual_force(motion)
     world, acceleration = None, motion.acceleration
     if acceleration is not None and (pair := both(force, acceleration)) is not None:
         x, y = (values - values.mean(axis=0) for values in pair)
         if rms(x) > MIN_ACCELERATION:
-            world = fitted(x, y, mirrored=motion.has("specific_force"), snap=_HEADING)
+            world = _closing(fitted(x, y, mirrored=motion.has("specific_force"), snap=_HEADING))
     return Reading(reading.order, reading.conjugate, reading.rate, world, reading.force_turn, up, sensor)
 
 
@@ -207,7 +234,7 @@ class Turns:
 
 def turns_of(reading: Reading, accelerometer: Floats | None) -> Turns:
     """The turns that mend a reading. accelerometer: its turn about z where lateral force showed one."""
-    to_gyro = _turn_of(reading.rate)
+    to_gyro = np.eye(3) if reading.rate is None else reading.rate.turn
     to_force = reading.force_turn if accelerometer is None else reading.force_turn @ accelerometer
     up_body = to_force.T @ reading.up_sensor  # of the attitude's body axes
     if upright(up_body):  # the sensors are turned against the body
@@ -215,7 +242,7 @@ def turns_of(reading: Reading, accelerometer: Floats | None) -> Turns:
     else:
         fix = np.eye(3) if upright(reading.up_sensor) else _upright_body(reading.up_sensor)
         body, gyro, force = fix @ to_force, fix @ to_force @ to_gyro.T, fix
-    mirrored_world = _turn_of(reading.world)
+    mirrored_world = np.eye(3) if reading.world is None else reading.world.turn
     up_place = mirrored_world @ reading.up_attitude
     place = np.eye(3) if upright(up_place) else _upright_world(up_place)
     world = place @ mirrored_world
@@ -223,11 +250,6 @@ def turns_of(reading: Reading, accelerometer: Floats | None) -> Turns:
         world = np.eye(3) if upright(reading.up_attitude) else _upright_world(reading.up_attitude)
         place = world @ mirrored_world.T
     return Turns(world, body, place, gyro, force)
-
-
-def _turn_of(fit: Fit | None) -> Floats:
-    """(3, 3) a fit's turn, none where the pair does not close by it."""
-    return np.eye(3) if fit is None or fit.closed < CLOSES else fit.turn
 
 
 def _upright_body(up: Floats) -> Floats:

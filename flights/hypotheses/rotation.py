@@ -10,9 +10,9 @@ import numpy as np
 from dynamics.arrays import Floats
 
 SNAP = np.deg2rad(10.0)  # from the axes' own directions, within which a turn is an alignment error and no other frame
-_BLOCKS = 3  # parts of a flight, each of which must show a turn of any other angle
-_REPEATED = 0.5  # of that angle, within which they must
-_ALIKE = 0.02  # of the motion, by which two turns may differ that it does not tell apart
+_BLOCKS = 4  # parts of a flight, each of which must show a turn of any other angle
+_EXPLAINED = 0.25  # share of what whole axes leave open that a turn by any other angle must explain
+ALIKE = 0.02  # of the motion, by which two turns may differ that it does not tell apart
 _SECOND = 0.05  # of the largest singular value: less motion about a second axis leaves the turn about the first open
 
 
@@ -57,17 +57,34 @@ def fitted(x: Floats, y: Floats, *, mirrored: bool = False, snap: float = SNAP) 
     singular = np.linalg.svd(product, compute_uv=False)
     turn = _raw(product, 1.0)
     left_handed = _raw(product, -1.0)
-    if mirrored and float(np.sum(left_handed * product)) > (1 + _ALIKE) * float(np.sum(turn * product)):
+    if mirrored and float(np.sum(left_handed * product)) > (1 + ALIKE) * float(np.sum(turn * product)):
         turn = left_handed
     if singular[1] < _SECOND * singular[0]:
         turn = _least_turn(product)
-    turn = snapped(turn, snap) if _is_repeated(turn, x, y) else _nearest(turn)
+    turn = (
+        snapped(turn, snap)
+        if _is_repeated(turn, x, y) and _explains(turn, product, size_x * size_y)
+        else _nearest(turn)
+    )
     along = float(np.sum(turn * product))
     for usual in USUAL:  # of turns that the motion hardly tells apart the most usual one
-        if along > 0.0 and float(np.sum(usual * product)) > np.sqrt(1 - _ALIKE) * along:
+        if along > 0.0 and float(np.sum(usual * product)) > np.sqrt(1 - ALIKE) * along:
             turn, along = usual, float(np.sum(usual * product))
             break
     return Fit(turn, along / size_x, max(along, 0.0) ** 2 / (size_x * size_y), max(plain, 0.0) ** 2)
+
+
+def fitted_beside(x: Floats, y: Floats, up_x: Floats, up_y: Floats) -> Fit:
+    """The turn of vectors x (n, 3) into y (n, 3) that carries one direction (3,) into another as well.
+
+    Of sensors that turn as one, gravity tells what motion about one axis leaves open.
+    """
+    size_x, size_y = float(np.sum(x**2)), float(np.sum(y**2))
+    product = y.T @ x
+    turn = snapped(_raw(product + np.sqrt(size_x * size_y) * np.outer(up_y, up_x), 1.0))
+    along, plain = float(np.sum(turn * product)), float(np.trace(product))
+    size = size_x * size_y
+    return Fit(turn, along / size_x, max(along, 0.0) ** 2 / size, max(plain, 0.0) ** 2 / size)
 
 
 def _least_turn(product: Floats) -> Floats:
@@ -111,13 +128,20 @@ def _nearest(turn: Floats) -> Floats:
 
 
 def _is_repeated(turn: Floats, x: Floats, y: Floats) -> bool:
-    """Whether parts of the flight show the same turn, which noise does not do."""
-    angle = angle_between(_nearest(turn), turn)
-    if angle < SNAP:
+    """Whether each part of the flight closes better by a turn than by the nearest whole axes: noise does so in some."""
+    nearest = _nearest(turn)
+    if angle_between(nearest, turn) < SNAP:
         return True
-    parts = zip(np.array_split(x, _BLOCKS), np.array_split(y, _BLOCKS), strict=True)
-    hand = float(np.linalg.det(turn))
-    return all(angle_between(_raw(part_y.T @ part_x, hand), turn) < _REPEATED * angle for part_x, part_y in parts)
+    moved = np.cumsum(np.sum(x**2, axis=1))  # parts of equal motion: one of hover shows nothing
+    edges = np.searchsorted(moved, moved[-1] * np.arange(1, _BLOCKS) / _BLOCKS)
+    parts = zip(np.split(x, edges), np.split(y, edges), strict=True)
+    return all(float(np.sum((turn - nearest) * (part_y.T @ part_x))) > 0 for part_x, part_y in parts)
+
+
+def _explains(turn: Floats, product: Floats, size: float) -> bool:
+    """Whether a turn explains a good part of what whole axes leave open; a shift in time does a little by chance."""
+    closed, nearest = (max(float(np.sum(one * product)), 0.0) ** 2 / size for one in (turn, _nearest(turn)))
+    return closed - nearest > _EXPLAINED * (1 - nearest)
 
 
 def _raw(product: Floats, hand: float) -> Floats:

@@ -12,7 +12,7 @@ from dynamics.vehicle import GRAVITY
 from flights.agreement import both
 
 # Sizes of a unit beside ours, by the kind of quantity: a value in it is so many times ours.
-LENGTHS: Mapping[str, float] = {"mm": 1000.0, "cm": 100.0, "ft": 1 / 0.3048, "in": 1 / 0.0254, "km": 0.001}
+LENGTHS: Mapping[str, float] = {"mm": 1000.0, "cm": 100.0, "ft": 1 / 0.3048, "in": 1 / 0.0254}
 ANGLES: Mapping[str, float] = {"deg": 180 / np.pi, "mrad": 1000.0, "mdeg": 180_000 / np.pi, "rev": 0.5 / np.pi}
 FORCES: Mapping[str, float] = {"g": 1 / GRAVITY, "mg": 1000 / GRAVITY, "cm/s^2": 100.0, "mm/s^2": 1000.0}
 NEAR = 0.15  # of a unit's size, within which a ratio is that unit

@@ -12,16 +12,15 @@ import numpy as np
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.excitation import DRIVE, MEASURES, WRENCH
-from flights import plausibility
 from flights.assembly import EMPTY
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
-from flights.hypotheses import explain
 from flights.log import Log, Repair
 from flights.pose_source import PoseSource
 from flights.quality import advice
 from flights.quality.channels import Channel, channel_findings, channels_of
+from flights.quality.declared import declared_wrong, flying_streams
 from flights.quality.excitation import Coverage, Measure, coverages, measures
 from flights.quality.findings import Finding
 from flights.quality.identifiable import EffectAnswer, answers
@@ -94,7 +93,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     measured = measures(segments, ground=_ground_height(flight, exclusions))
     usable = _usable(log)
     findings = [
-        *_framed(log),
+        *(declared_wrong(log.streams) or declared_wrong(flying_streams(flight, segments))),
         *_other_clocks(log),
         *_actuation(log),
         *_empty(log),
@@ -159,17 +158,6 @@ def _untrusted(findings: Sequence[Finding]) -> dict[str, str]:
 
 def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
     return any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
-
-
-def _framed(log: Log) -> list[Finding]:
-    found = [
-        Finding("error", one.name, f"{one.text} ({one.evidence})", one.advice, fatal=True)
-        for one in explain(log.streams)
-    ]
-    advised = "convert it, or give a column mapping"
-    return found or [
-        Finding("error", item.name, item.text, advised, fatal=True) for item in plausibility.check(log.streams)
-    ]
 
 
 def _other_clocks(log: Log) -> list[Finding]:

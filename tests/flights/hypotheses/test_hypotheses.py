@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fixtures.wrong_columns import MUTATIONS, in_bursts, rotation, turned, with_values
 from flights import read_log
 from flights.hypotheses import explain
 from flights.hypotheses.hypothesis import after
 from flights.log import Stream
-from fixtures.wrong_columns import MUTATIONS, in_bursts, rotation, turned, with_values
 
 DATA = Path("tests/data")
 RIGHT = [
