@@ -48,12 +48,12 @@ def wrong_columns(words: Sequence[str]) -> Page:
                 changed = list(change(dict(streams)).values())
             except KeyError:  # the log has no such quantity
                 continue
-            found = [(one.name, one.text) for one in (explain(changed) or check(changed))]
-            names, said = {one for one, _ in found}, bool(found)
+            answers = [(one.name, one.text) for one in (explain(changed) or check(changed))]
+            names = {one for one, _ in answers}
             counts.setdefault(name, np.zeros(4, dtype=int))
-            counts[name] += [1, bool(causes & names), said and not causes & names, not said]
+            counts[name] += [1, bool(causes & names), bool(names) and not causes & names, not names]
             if not causes & names:
-                wrong.append(f"{name} of {path.name}: {'; '.join(text for _, text in found) or 'nothing'}")
+                wrong.append(f"{name} of {path.name}: {'; '.join(text for _, text in answers) or 'nothing'}")
     return Page(
         "wrong_columns", "Columns that are other than declared", _body(counts, wrong, len(logs), brisk, refused)
     )
@@ -74,13 +74,13 @@ def _right_logs(folder: Path, count: int) -> tuple[list[tuple[Path, dict[str, St
         if "field" in path.parts or len(logs) == count:
             continue
         try:
-            found = found_hypotheses(path)
+            hypotheses = found_hypotheses(path)
             streams: dict[str, Stream] = {}
             for stream in read_log(path).streams:
                 streams.setdefault(stream.name, stream)
         except AlulaError:  # no log, or one that is refused for another reason than its columns
             continue
-        refused += [f"{path.name}: {one.text}" for one in found]
+        refused += [f"{path.name}: {one.text}" for one in hypotheses]
         if streams.keys() >= NEEDED and np.ptp(streams["rate"].time) > MIN_FLIGHT:
             logs.append((path, streams))
     return logs, refused

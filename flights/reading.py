@@ -81,7 +81,7 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str |
 
 
 def found_hypotheses(path: str | Path, *, mapping: str | Path | None = None) -> tuple[Hypothesis, ...]:
-    """What the columns of a log are other than declared, with the repairs; also of one that `read_log` refuses for it.
+    """Hypotheses about the columns of a log, with their repairs; also of one that `read_log` refuses for them.
 
     mapping: column-mapping TOML. Raises what `read_log` raises, but for contradictions of units and frames.
     """
@@ -176,8 +176,8 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     if not content.streams:
         raise DataError(f"{path} is a {form.label} without flight data. {' '.join(content.notes)}".rstrip())
     notes = list(content.notes)
-    found = [str(hypothesis) for hypothesis in explain(content.streams)]
-    for text in found or [finding.text for finding in plausibility.check(content.streams)]:
+    texts = [str(hypothesis) for hypothesis in explain(content.streams)]
+    for text in texts or [finding.text for finding in plausibility.check(content.streams)]:
         if not form.declares_frames:
             raise DataError(f"{path}: {text}")
         notes.append(text)

@@ -112,8 +112,8 @@ def repaired(content: LogContent, repairs: Sequence[StreamRepair]) -> LogContent
             raise DataError(f"the mapping repairs {repair.quantity}, which is not in this log. Leave that repair out.")
         for i in concerned:
             streams[i] = apply(streams[i], repair)
-    said = tuple(Repair("mapped_repair", _summary(repair)) for repair in repairs)
-    return replace(content, streams=tuple(streams), repairs=(*content.repairs, *said))
+    repairs_done = tuple(Repair("mapped_repair", _summary(repair)) for repair in repairs)
+    return replace(content, streams=tuple(streams), repairs=(*content.repairs, *repairs_done))
 
 
 def apply(stream: Stream, repair: StreamRepair) -> Stream:

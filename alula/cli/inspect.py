@@ -62,7 +62,7 @@ def inspect(
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
     repair: Annotated[
         Path | None,
-        typer.Option(help="Write a mapping file that repairs what the columns are found to be, and inspect by it."),
+        typer.Option(help="Write a mapping file that repairs columns that are not what they declare; inspect by it."),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
@@ -109,13 +109,13 @@ def _repaired(paths: list[Path], mapping: Path | None, repair: Path) -> Path | N
     from flights.hypotheses.mapping_file import write_repairs
     from flights.reading import found_hypotheses
 
-    found = found_hypotheses(paths[0], mapping=mapping)
-    if not found:
+    hypotheses = found_hypotheses(paths[0], mapping=mapping)
+    if not hypotheses:
         print(
             f"nothing to repair: the columns of {printable(str(paths[0]))} agree, or move too little", file=sys.stderr
         )
         return mapping
-    write_repairs(found, repair, log=paths[0], mapping=mapping)
+    write_repairs(hypotheses, repair, log=paths[0], mapping=mapping)
     print(f"written: {repair}; give it as --mapping to the other commands", file=sys.stderr)
     return repair
 

@@ -42,8 +42,8 @@ def inspected(
     uneven: dict[int, list[tuple[Flight, UnevenRotor]]] = {}
     for flight in flights:
         measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
-        for wrong in declared_wrong(flying_streams(flight, parts)):
-            raise DataError(f"{name}: {wrong.text}. {wrong.advice}.")
+        for finding in declared_wrong(flying_streams(flight, parts)):
+            raise DataError(f"{name}: {finding.text}. {finding.advice}.")
         of_rotors = rotor_findings(parts) if measured else []
         for finding in (*of_rotors, *frozen_findings(flight), *_battery_findings(parts, thresholds)):
             findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None

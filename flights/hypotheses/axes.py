@@ -59,11 +59,11 @@ def of_velocity(streams: Streams) -> list[Hypothesis]:
         return []
     evidence = f"{fit.closed:.2f} of it is then the position's change, {fit.plain:.2f} as declared"
     ways = [("velocity", fit.turn.T), ("position", fit.turn)]
-    found = [
+    hypotheses = [
         Hypothesis(f"{name}_frame", f"the {name} has {_known_axes(turn.T, name)}", evidence, (_turned(name, turn),))
         for name, turn in ways
     ]
-    return [next((one for one in found if not of_pose(after(streams, one))), found[0])]
+    return [next((one for one in hypotheses if not of_pose(after(streams, one))), hypotheses[0])]
 
 
 def _pose_repairs(reading: Reading, turns: Turns, streams: Streams) -> list[StreamRepair]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dynamics.arrays import Floats
@@ -33,7 +35,7 @@ _UNIQUE = 0.03  # that at any other shift further than a second
 
 def bursts(streams: Streams) -> list[Hypothesis]:
     """Streams whose samples were stamped when they were published, several at once."""
-    found = []
+    hypotheses = []
     for name in (*MOTION, *ROTORS):
         stream = streams.get(name)
         if stream is None:
@@ -50,7 +52,7 @@ def bursts(streams: Streams) -> list[Hypothesis]:
             continue
         restored = evenly(time)
         even, worst = float(np.median(np.diff(restored))), float(np.max(np.abs(restored - time)))
-        found.append(
+        hypotheses.append(
             Hypothesis(
                 "burst_stamps",
                 f"{name} is stamped in bursts: {1 / even:.0f} Hz by count, while {close.mean():.0%} of its stamps "
@@ -60,7 +62,7 @@ def bursts(streams: Streams) -> list[Hypothesis]:
                 (StreamRepair(name, even=True),),
             )
         )
-    return found
+    return hypotheses
 
 
 def time_unit(streams: Streams) -> list[Hypothesis]:
@@ -88,7 +90,7 @@ def time_unit(streams: Streams) -> list[Hypothesis]:
 
 def offsets(streams: Streams) -> list[Hypothesis]:
     """Streams of one motion that are stamped by different clocks, by its size: that is the same in all axes."""
-    return [found for pair in _PAIRS if (found := _offset(streams, *pair)) is not None]
+    return [offset for pair in _PAIRS if (offset := _offset(streams, *pair)) is not None]
 
 
 def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, ...]) -> Hypothesis | None:
@@ -116,13 +118,13 @@ def _sizes(stream: Stream) -> tuple[float, Floats] | None:
     if len(time) < _MIN_OVERLAP * GRID_RATE:
         return None
     motion = Motion({stream.name: resample(stream, time)})
-    vectors = {
+    vectors_of: dict[str, Callable[[], Floats]] = {
         "attitude": lambda: motion.turning(motion.values["attitude"]),
         "rate": lambda: motion.rate,
         "position": lambda: motion.moved,
         "velocity": lambda: motion.velocity,
-    }[stream.name]()
-    sizes = np.linalg.norm(vectors, axis=1)
+    }
+    sizes = np.linalg.norm(vectors_of[stream.name](), axis=1)
     finite = np.isfinite(sizes)
     if finite.mean() < _MIN_COVERED or not float(np.std(sizes[finite])) > _MIN_CHANGE:
         return None

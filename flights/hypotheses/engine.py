@@ -1,4 +1,4 @@
-"""What a log's columns really are: hypotheses about clocks, units, order and axes, by how well physics closes.
+"""Hypotheses about what a log's columns really are: clocks, units, order and axes, by how well physics closes.
 
 Each step sees the streams as the steps before it repaired them, so that a wrong unit hides no wrong order.
 """
@@ -23,16 +23,16 @@ _IMPOSSIBLE_SPEED = 150.0  # m/s, faster than any multirotor flies
 
 
 def explain(streams: Sequence[Stream]) -> tuple[Hypothesis, ...]:
-    """What the streams are other than declared; empty where they close as they are, or move too little to tell."""
+    """Hypotheses about the streams; empty where they close as declared, or move too little to tell."""
     first: dict[str, Stream] = {}
     for stream in streams:
         first.setdefault(stream.name, stream)
-    found: list[Hypothesis] = []
+    hypotheses: list[Hypothesis] = []
     for step in _STEPS:
         for hypothesis in step(first):
-            found.append(hypothesis)
+            hypotheses.append(hypothesis)
             first = after(first, hypothesis)
-    return tuple(found)
+    return tuple(hypotheses)
 
 
 def _gyro_unit(streams: Streams) -> list[Hypothesis]:
@@ -42,10 +42,10 @@ def _gyro_unit(streams: Streams) -> list[Hypothesis]:
     compared = scales.of_lengths(motion.rate, motion.turning(motion.values["attitude"]), pose.MIN_TURNING)
     if compared is None or not _is_clear(*compared):
         return []
-    found = scales.named(compared[0], scales.ANGLES)
-    if found is None or not (found[0] or compared[1] > _SURELY):
+    scale = scales.named(compared[0], scales.ANGLES)
+    if scale is None or not (scale[0] or compared[1] > _SURELY):
         return []
-    unit, size = found
+    unit, size = scale
     what = f"are in {unit}/s" if unit else f"are {size:.3g} times too large"
     text = f"the body rates {what}" + (": a factor that is no unit" if not unit else "")
     evidence = f"{compared[0]:.3g} times the attitude's turning, which they follow by {compared[1]:.2f}"
@@ -59,35 +59,35 @@ def _factor(size: float) -> float:
 
 
 def _force_unit(streams: Streams) -> list[Hypothesis]:
-    found = scales.gravity_scale(streams["specific_force"].values) if "specific_force" in streams else None
-    if found is None:
+    scale = scales.gravity_scale(streams["specific_force"].values) if "specific_force" in streams else None
+    if scale is None:
         return []
-    name = "force_in_g" if found.unit == "g" else "force_unit"
-    repair = StreamRepair("specific_force", scale=_factor(1 / found.factor))
-    return [Hypothesis(name, f"the specific force is in {found.unit}", f"{found.evidence}, wanted 9.81", (repair,))]
+    name = "force_in_g" if scale.unit == "g" else "force_unit"
+    repair = StreamRepair("specific_force", scale=_factor(1 / scale.factor))
+    return [Hypothesis(name, f"the specific force is in {scale.unit}", f"{scale.evidence}, wanted 9.81", (repair,))]
 
 
 def _lengths(streams: Streams) -> list[Hypothesis]:
     """Units of velocity and position, by the specific force in the world, by each other, or by what can fly."""
-    motion, found = Motion.of(streams), []
+    motion, hypotheses = Motion.of(streams), list[Hypothesis]()
     reading = pose.declared(motion)
     against_force = None if reading is None else reading.world
-    known = against_force is not None and against_force.closed > CLOSES
+    is_compared = against_force is not None and against_force.closed > CLOSES
     faster = "velocity" if "velocity" in streams else "position" if "position" in streams else None
     if faster is None:
         return []
-    one = None if not known or against_force is None else scales.named(against_force.gain, scales.LENGTHS)
+    one = None if not is_compared or against_force is None else scales.named(against_force.gain, scales.LENGTHS)
     if one is not None and against_force is not None and (one[0] or against_force.closed > _SURELY):
         evidence = f"its acceleration is {against_force.gain:.3g} times what the specific force makes"
-        found.append(_length(faster, one, evidence))
+        hypotheses.append(_length(faster, one, evidence))
     else:
-        found += _impossible(motion, faster)
+        hypotheses += _impossible(motion, faster)
     if faster == "velocity" and "position" in streams:
-        found += _beside_velocity(after(streams, found[0]) if found else streams)
-    return found
+        hypotheses += _against_velocity(after(streams, hypotheses[0]) if hypotheses else streams)
+    return hypotheses
 
 
-def _beside_velocity(streams: Streams) -> list[Hypothesis]:
+def _against_velocity(streams: Streams) -> list[Hypothesis]:
     """Units of position and velocity by each other: which of both is in a unit that people use."""
     motion = Motion.of(streams)
     compared = scales.of_lengths(motion.moved, motion.velocity, MIN_SPEED)
@@ -108,8 +108,8 @@ def _is_clear(ratio: float, following: float) -> bool:
     return following > (_FOLLOWS if 1 / _FAR < ratio < _FAR else _FAR_FOLLOWS)
 
 
-def _length(quantity: str, found: tuple[str, float], evidence: str) -> Hypothesis:
-    unit, size = found
+def _length(quantity: str, scale: tuple[str, float], evidence: str) -> Hypothesis:
+    unit, size = scale
     per = "/s" if quantity == "velocity" else ""
     what = f"in {unit}{per}" if unit else f"{size:.3g} times too large, a factor that is no unit"
     text = f"the {quantity} is {what}"

@@ -15,7 +15,7 @@ Streams = Mapping[str, Stream]  # by quantity
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What a log's columns are, other than declared, by how well physics closes.
+    """An explanation of a log's columns, other than the declared one, by how well physics closes.
 
     name: for programs.
     text: what they are.
@@ -37,7 +37,7 @@ class Hypothesis:
 
     @property
     def advice(self) -> str:
-        """What to do about it."""
+        """Advice about it, for people."""
         return f"repair: {self.lines} in a mapping file, which `alula inspect LOG --repair FILE` writes"
 
     def __str__(self) -> str:

@@ -22,7 +22,7 @@ GRID_RATE = 50.0  # Hz
 MAX_ROWS = 20_000  # 400 s: more motion decides nothing further
 SPAN = 5  # steps, 0.1 s
 MIN_SPEED = 0.15  # m/s rms, below which position and velocity cannot be compared
-_LONGEST_TURN = 2.0  # rad in a span: beyond, a rotation vector is not the mean rate times time
+_MAX_TURN = 2.0  # rad in a span: beyond, a rotation vector is not the mean rate times time
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -79,7 +79,7 @@ class Motion:
     def turning(self, attitude: Floats) -> Floats:
         """(m, 3) mean rate by which an attitude (n, 4) turns, along its own body axes, rad/s."""
         turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-SPAN]), attitude[SPAN:]))
-        short = np.linalg.norm(turned, axis=1, keepdims=True) < _LONGEST_TURN
+        short = np.linalg.norm(turned, axis=1, keepdims=True) < _MAX_TURN
         return span_mean(np.where(short, turned, np.nan) * (GRID_RATE / SPAN))
 
     def thrust_direction(self, attitude: Floats, sensor_to_body: Floats) -> Floats:

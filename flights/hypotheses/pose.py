@@ -1,4 +1,4 @@
-"""Readings of a pose beside an IMU: order and sense of the attitude, axes of world, body and sensors.
+"""Readings of a pose joint an IMU: order and sense of the attitude, axes of world, body and sensors.
 
 For every way to read the four numbers of an attitude, Wahba's problem gives the turns between the pose's axes and the
 sensors', whatever their angle, and the share of the motion that then closes. The way that closes most, with the fewest
@@ -23,10 +23,10 @@ from flights.hypotheses.rotation import (
     NED,
     Fit,
     fitted,
-    fitted_beside,
+    fitted_with_up,
     is_none,
     is_whole,
-    least_turn,
+    shortest_turn,
     snapped,
 )
 
@@ -38,7 +38,7 @@ _MIN_ROWS = 100  # that can be compared
 _CLEAR_LATERAL = 0.6  # correlation of lateral force and what the pose needs, at the best turn,
 _CLEARER = 0.25  # and by which it must exceed that without a turn
 COST = 0.02  # of the share that closes, for an assumption that a reading adds to what was declared
-_WHOLE, _ANY, _MIRRORED = 1.5, 2.0, 2.5  # assumptions that a turn of whole axes, any other, a left-handed one are
+_AXES, _ANY, _MIRRORED = 1.5, 2.0, 2.5  # assumptions that a turn of whole axes, any other, a left-handed one are
 CLOSES = 0.5  # share of motion beyond which a pair closes
 UPRIGHT = np.deg2rad(25.0)  # between a direction and an axis that count as one
 
@@ -94,7 +94,7 @@ def _odd(turn: Floats) -> float:
         return 0.0
     if np.linalg.det(turn) < 0:
         return _MIRRORED
-    return _WHOLE if is_whole(turn) else _ANY
+    return _AXES if is_whole(turn) else _ANY
 
 
 def upright(direction: Floats) -> bool:
@@ -107,8 +107,8 @@ def readings(motion: Motion) -> list[Reading]:
     if not motion.has("attitude"):
         return []
     ways = [(order, conjugate) for order in ("wxyz", "xyzw") for conjugate in (False, True)]
-    found = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate=conjugate)]
-    return sorted((one for one in found if one.closures), key=lambda one: -one.score)
+    read = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate=conjugate)]
+    return sorted((one for one in read if one.closures), key=lambda one: -one.score)
 
 
 def declared(motion: Motion) -> Reading | None:
@@ -137,9 +137,9 @@ def _rates(motion: Motion, attitude: Floats) -> list[Fit | None]:
     alone = _closing(fitted(*pair, mirrored=True))
     if not motion.has("specific_force"):
         return [alone]
-    beside = fitted_beside(*pair, np.array([0.0, 0.0, 1.0]), _usual_force(motion))
-    as_well = beside.closed > CLOSES and beside.closed > alone.closed - ALIKE and beside.is_turned
-    return [alone, beside] if as_well and not np.allclose(beside.turn, alone.turn) else [alone]
+    joint = fitted_with_up(*pair, np.array([0.0, 0.0, 1.0]), _usual_force(motion))
+    as_well = joint.closed > CLOSES and joint.closed > alone.closed - ALIKE and joint.is_turned
+    return [alone, joint] if as_well and not np.allclose(joint.turn, alone.turn) else [alone]
 
 
 def _usual_force(motion: Motion) -> Floats:
@@ -180,7 +180,9 @@ def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
     Along body x and y a multirotor's accelerometer reads little but the drag, so that only brisk flights tell.
     """
     acceleration = motion.acceleration
-    if acceleration is None or reading.world is None or not motion.has("specific_force"):
+    if acceleration is None or not motion.has("specific_force"):
+        return None
+    if reading.world is None or reading.world.closed < CLOSES:
         return None
     attitude = reading.attitude(motion.values["attitude"])
     middle = attitude[(len(attitude) - len(acceleration)) // 2 :][: len(acceleration)]
@@ -253,8 +255,8 @@ def turns_of(reading: Reading, accelerometer: Floats | None) -> Turns:
 
 
 def _upright_body(up: Floats) -> Floats:
-    return FRD if up[2] < -np.cos(UPRIGHT) else snapped(least_turn(up, np.array([0.0, 0.0, 1.0])))
+    return FRD if up[2] < -np.cos(UPRIGHT) else snapped(shortest_turn(up, np.array([0.0, 0.0, 1.0])))
 
 
 def _upright_world(up: Floats) -> Floats:
-    return NED if up[2] < -np.cos(UPRIGHT) else snapped(least_turn(up, np.array([0.0, 0.0, 1.0])))
+    return NED if up[2] < -np.cos(UPRIGHT) else snapped(shortest_turn(up, np.array([0.0, 0.0, 1.0])))

@@ -60,7 +60,7 @@ def fitted(x: Floats, y: Floats, *, mirrored: bool = False, snap: float = SNAP) 
     if mirrored and float(np.sum(left_handed * product)) > (1 + ALIKE) * float(np.sum(turn * product)):
         turn = left_handed
     if singular[1] < _SECOND * singular[0]:
-        turn = _least_turn(product)
+        turn = _shortest_of_one_axis(product)
     turn = (
         snapped(turn, snap)
         if _is_repeated(turn, x, y) and _explains(turn, product, size_x * size_y)
@@ -74,12 +74,14 @@ def fitted(x: Floats, y: Floats, *, mirrored: bool = False, snap: float = SNAP) 
     return Fit(turn, along / size_x, max(along, 0.0) ** 2 / (size_x * size_y), max(plain, 0.0) ** 2)
 
 
-def fitted_beside(x: Floats, y: Floats, up_x: Floats, up_y: Floats) -> Fit:
+def fitted_with_up(x: Floats, y: Floats, up_x: Floats, up_y: Floats) -> Fit:
     """The turn of vectors x (n, 3) into y (n, 3) that carries one direction (3,) into another as well.
 
     Of sensors that turn as one, gravity tells what motion about one axis leaves open.
     """
     size_x, size_y = float(np.sum(x**2)), float(np.sum(y**2))
+    if size_x == 0.0 or size_y == 0.0:
+        return Fit(np.eye(3), 1.0, 0.0, 0.0)
     product = y.T @ x
     turn = snapped(_raw(product + np.sqrt(size_x * size_y) * np.outer(up_y, up_x), 1.0))
     along, plain = float(np.sum(turn * product)), float(np.trace(product))
@@ -87,13 +89,13 @@ def fitted_beside(x: Floats, y: Floats, up_x: Floats, up_y: Floats) -> Fit:
     return Fit(turn, along / size_x, max(along, 0.0) ** 2 / size, max(plain, 0.0) ** 2 / size)
 
 
-def _least_turn(product: Floats) -> Floats:
+def _shortest_of_one_axis(product: Floats) -> Floats:
     """Of motion along one axis: no turn where its sense agrees, else the smallest one that carries it over."""
     left, _, right = np.linalg.svd(product)
-    return least_turn(right[0], left[:, 0])
+    return shortest_turn(right[0], left[:, 0])
 
 
-def least_turn(start: Floats, end: Floats) -> Floats:
+def shortest_turn(start: Floats, end: Floats) -> Floats:
     """(3, 3) the smallest rotation of a unit vector (3,) into another."""
     axis, cosine = np.cross(start, end), float(start @ end)
     if cosine < -1 + 1e-9:

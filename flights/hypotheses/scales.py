@@ -58,7 +58,7 @@ def of_lengths(one: Floats, other: Floats, smallest: float) -> tuple[float, floa
     sizes = [np.linalg.norm(values, axis=1) for values in pair]
     if float(np.sqrt(np.mean(sizes[1] ** 2))) < smallest or not float(np.std(sizes[0])) > 0.0:
         return None
-    if not float(np.std(sizes[1])) > 0.0:
+    if not (float(np.std(sizes[1])) > 0.0 and float(np.sum(sizes[0] ** 2)) > 0.0):
         return None
     following = float(np.corrcoef(sizes[0], sizes[1])[0, 1])
     return float(np.sqrt(np.sum(sizes[0] ** 2) / np.sum(sizes[1] ** 2))), following
@@ -70,7 +70,7 @@ def gravity_scale(force: Floats) -> Scale | None:
     if len(force) < _MIN_ROWS:
         return None
     usual = float(np.linalg.norm(np.median(force, axis=0))) / GRAVITY
-    found = named(usual, FORCES, _NEAR_GRAVITY)
-    if found is None or not found[0]:
+    scale = named(usual, FORCES, _NEAR_GRAVITY)
+    if scale is None or not scale[0]:
         return None
-    return Scale("specific_force", 1 / found[1], found[0], f"its usual size in flight is {usual * GRAVITY:.4g}")
+    return Scale("specific_force", 1 / scale[1], scale[0], f"its usual size in flight is {usual * GRAVITY:.4g}")

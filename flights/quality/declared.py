@@ -15,12 +15,14 @@ from flights.quantities import MOTION
 
 
 def declared_wrong(streams: Sequence[Stream]) -> list[Finding]:
-    """What the streams are other than declared, or where they contradict each other for no cause that is known."""
-    found = [
+    """Hypotheses about the streams, other than declared, or where they contradict each other for no cause that is known."""
+    hypotheses = [
         Finding("error", one.name, f"{one.text} ({one.evidence})", one.advice, fatal=True) for one in explain(streams)
     ]
     advice = "convert it, or give a column mapping"
-    return found or [Finding("error", item.name, item.text, advice, fatal=True) for item in plausibility.check(streams)]
+    return hypotheses or [
+        Finding("error", item.name, item.text, advice, fatal=True) for item in plausibility.check(streams)
+    ]
 
 
 def flying_streams(flight: Flight, free: Sequence[Flight]) -> list[Stream]:

@@ -39,15 +39,15 @@ def clocks_of(stamps: Mapping[str, Stamps], recorded: Mapping[str, Stamps], asse
 
     stamps, recorded: (n,) of each topic, in the order of recording.
     """
-    kept = {topic: _unset(topic, stamps[topic], recorded[topic], assembly) for topic in stamps}
+    rows_of = {topic: _unset(topic, stamps[topic], recorded[topic], assembly) for topic in stamps}
     delays = {
-        topic: int(np.median((recorded[topic] - stamps[topic])[rows])) for topic, rows in kept.items() if rows.any()
+        topic: int(np.median((recorded[topic] - stamps[topic])[rows])) for topic, rows in rows_of.items() if rows.any()
     }
     if not delays:
-        return {topic: Clock(0, rows) for topic, rows in kept.items()}
+        return {topic: Clock(0, rows) for topic, rows in rows_of.items()}
     nearest = min(delays, key=lambda topic: (abs(delays[topic]), topic))
     clocks = {}
-    for topic, rows in kept.items():
+    for topic, rows in rows_of.items():
         late = delays.get(topic, delays[nearest]) - delays[nearest]
         if abs(late) < _DIFFERENT * _SECOND:
             clocks[topic] = Clock(0, rows)

@@ -1,4 +1,4 @@
-"""Columns that are other than declared are told by how physics closes, on real flights and another simulator's."""
+"""Columns that are other than declared are named by how physics closes, on real flights and another simulator's."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_a_wrong_declaration_is_named_and_its_repair_leaves_nothing_to_repair(lo
     if name == "velocity in cm/s" and "velocity" not in right:
         pytest.skip("the log has no velocity")
     streams = change(dict(right))
-    found = explain(list(streams.values()))
-    assert causes & {hypothesis.name for hypothesis in found}, [str(hypothesis) for hypothesis in found]
+    hypotheses = explain(list(streams.values()))
+    assert causes & {hypothesis.name for hypothesis in hypotheses}, [str(hypothesis) for hypothesis in hypotheses]
     repaired: dict[str, Stream] = streams
-    for hypothesis in found:
+    for hypothesis in hypotheses:
         repaired = after(repaired, hypothesis)
     assert explain(list(repaired.values())) == ()
 
@@ -56,10 +56,10 @@ def test_a_wrong_declaration_is_named_and_its_repair_leaves_nothing_to_repair(lo
 @pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [0.6, -0.3, 0.2]])
 def test_the_turn_of_an_imu_is_given_to_half_a_degree(axis: list[float], degrees: float) -> None:
     streams = turned(("rate", "specific_force"), rotation(axis, degrees).T)(dict(streams_of(RIGHT[2])))
-    (found,) = explain(list(streams.values()))
-    assert "the IMU is turned by" in found.text
-    told = float(found.text.split("turned by ")[1].split(" ")[0])
-    assert told == pytest.approx(degrees, abs=0.5)
+    (hypothesis,) = explain(list(streams.values()))
+    assert "the IMU is turned by" in hypothesis.text
+    degrees_named = float(hypothesis.text.split("turned by ")[1].split(" ")[0])
+    assert degrees_named == pytest.approx(degrees, abs=0.5)
 
 
 def test_two_wrong_things_are_both_named() -> None:
@@ -76,9 +76,9 @@ def test_two_wrong_things_are_both_named() -> None:
 def test_a_factor_that_is_no_unit_is_called_a_factor() -> None:
     streams = dict(streams_of(RIGHT[2]))
     streams["rate"] = with_values(streams["rate"], 0.01 * streams["rate"].values)
-    (found,) = explain(list(streams.values()))
-    assert "a factor that is no unit" in found.text
-    assert found.repairs[0].scale == pytest.approx(100.0, rel=0.02)
+    (hypothesis,) = explain(list(streams.values()))
+    assert "a factor that is no unit" in hypothesis.text
+    assert hypothesis.repairs[0].scale == pytest.approx(100.0, rel=0.02)
 
 
 def test_hover_tells_nothing_and_says_nothing() -> None:
@@ -96,8 +96,8 @@ def test_hover_tells_nothing_and_says_nothing() -> None:
 
 def test_lost_samples_are_no_bursts() -> None:
     streams = dict(streams_of(RIGHT[0]))
-    kept = np.random.default_rng(1).random(len(streams["attitude"].time)) > 0.2
-    lost = {n: with_values(s, s.values[kept], s.time[kept]) for n, s in streams.items() if len(s.time) == len(kept)}
+    rows = np.random.default_rng(1).random(len(streams["attitude"].time)) > 0.2
+    lost = {n: with_values(s, s.values[rows], s.time[rows]) for n, s in streams.items() if len(s.time) == len(rows)}
     assert explain(list({**streams, **lost}.values())) == ()
 
 

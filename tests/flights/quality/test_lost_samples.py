@@ -12,8 +12,8 @@ TIME = np.arange(0.0, 60.0, 0.01)
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
 def test_the_share_of_lost_samples_is_found(share: float) -> None:
-    kept = TIME[np.random.default_rng(2).random(len(TIME)) > share]
-    assert lost_samples(kept) == pytest.approx(share, abs=0.02)
+    remaining = TIME[np.random.default_rng(2).random(len(TIME)) > share]
+    assert lost_samples(remaining) == pytest.approx(share, abs=0.02)
 
 
 def test_late_stamps_are_not_lost_samples() -> None:
