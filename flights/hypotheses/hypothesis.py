@@ -42,7 +42,7 @@ class Hypothesis:
 
     def __str__(self) -> str:
         """Statement, evidence and advice, for people."""
-        return f"{self.text} ({self.evidence}). R{self.advice[1:]}."
+        return f"{self.text} ({self.evidence}). Wanted SI units, ENU and FLU, by one clock; {self.advice}."
 
 
 def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:

@@ -15,7 +15,7 @@ from flights.quantities import MOTION
 
 
 def declared_wrong(streams: Sequence[Stream]) -> list[Finding]:
-    """Hypotheses about the streams, other than declared, or where they contradict each other for no cause that is known."""
+    """Hypotheses about the streams, or where they contradict each other for no cause that has a name."""
     hypotheses = [
         Finding("error", one.name, f"{one.text} ({one.evidence})", one.advice, fatal=True) for one in explain(streams)
     ]
