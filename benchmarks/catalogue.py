@@ -278,6 +278,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("flights/delays.py", "flights/delay_fit.py"),
             ("--flights", "1", "--jobs", "1"),
         ),
+        "wrong_columns": Measurement(
+            "benchmarks.wrong_columns:wrong_columns",
+            ("wrong_columns",),
+            ("flights/hypotheses", "flights/plausibility.py"),
+            ("--logs", "2", "--recordings", "tests/data/nanobench"),
+        ),
         "rotor_orders": Measurement(
             "benchmarks.readers:rotor_orders", ("rotor_orders",), ("diagnosis/data",), ("--sets", "1")
         ),

@@ -198,6 +198,10 @@ class Assembly:
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
         repeated = np.concatenate([[False], np.diff(time) == 0])
+        if repeated.any() and (empty := np.isnan(values).all(axis=1)).any():  # another sensor's row of the same moment
+            alone = ~(empty & (repeated | np.concatenate([repeated[1:], [False]])))
+            time, values = time[alone], values[alone]
+            repeated = np.concatenate([[False], np.diff(time) == 0])
         if repeated.any():
             if repeated.mean() > 0.5:
                 raise DataError(

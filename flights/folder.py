@@ -39,7 +39,9 @@ def folder_content(folder: Path, mapping: str | Path | None = None) -> FolderCon
     A tlog beside a recording of the same name holds the same flight and is left out. A log that is damaged is a log.
     mapping: column mapping (TOML) of its tables. Raises RequestError for a folder or a mapping that cannot be read.
     """
-    columns = None if mapping is None else mappings.read_mapping(Path(mapping))
+    columns = None
+    if mapping is not None and mappings.read_repairs(Path(mapping))[0]:
+        columns = mappings.read_mapping(Path(mapping))
     is_campaign = (folder / CAMPAIGN).is_file() and (folder / TRAINING_FLIGHTS).is_dir()
     try:
         files = list(logs_below(folder / TRAINING_FLIGHTS if is_campaign else folder))

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping as Table
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -20,10 +20,12 @@ from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_file import refuse_unknown_keys
 from flights.quantities import MAX_ROTORS, QUANTITIES
+from flights.stream_repair import StreamRepair
 from flights.table_time import UNITS as UNITS_OF_TIME
 from flights.table_time import TimeColumns
 
 FOLDER = Path(__file__).parent / "mappings"
+Kind = TypeVar("Kind", bound=msgspec.Struct)
 
 TEXT_TIME = "iso"  # unit of times as text
 # Factor from a unit to the quantity's own unit.
@@ -183,6 +185,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A column mapping.
 
     pose: where position, velocity and attitude come from; empty where the tool writes either.
+    repairs: of the streams once they are read, see `flights.stream_repair`.
     """
 
     name: str
@@ -192,6 +195,7 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     description: str = ""
     pose: Literal["", "motion_capture", "estimator"] = ""
     file: FileLayout = FileLayout()
+    repairs: tuple[StreamRepair, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -205,27 +209,53 @@ def _one_of(names: tuple[str, ...]) -> str:
     return f"{', '.join(first)} or {last}" if first else last
 
 
+class RepairFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A mapping file without columns: repairs of logs of any format."""
+
+    name: str
+    repairs: tuple[StreamRepair, ...]
+    description: str = ""
+
+
 def read_mapping(path: Path) -> Mapping:
-    """A mapping from its file. Raises RequestError when it cannot be read or is wrong."""
+    """A mapping of columns from its file. Raises RequestError when it cannot be read or is wrong."""
+    mapping = _converted(_table(path), path, Mapping)
     try:
-        table = parse_toml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RequestError(f"cannot read the column mapping {path}: {error}. See flights/mappings/.") from None
-    try:
-        refuse_unknown_keys(table, Mapping)
-        mapping = msgspec.convert(table, Mapping)
         re.compile(mapping.file.prefix)
-    except RequestError as error:
-        raise RequestError(f"{path}: {error}") from None
-    except (msgspec.ValidationError, re.error) as error:
-        if isinstance(error.__cause__, RequestError):
-            raise RequestError(f"{path}: {error.__cause__}") from None
+    except re.error as error:
         raise RequestError(f"{path}: {described(error)}. See flights/mappings/.") from None
     if mapping.file.decimal == mapping.file.delimiter:
         raise RequestError(f"{path}: decimal and delimiter are both {mapping.file.decimal!r}. Give delimiter = ';'.")
     if len(mapping.file.delimiter) != 1:
         raise RequestError(f"{path}: delimiter {mapping.file.delimiter!r} must be one character.")
     return mapping
+
+
+def read_repairs(path: Path) -> tuple[bool, tuple[StreamRepair, ...]]:
+    """Whether a mapping file maps columns, and its repairs. Raises RequestError as `read_mapping`."""
+    table = _table(path)
+    if "repairs" in table and "streams" not in table:
+        return False, _converted(table, path, RepairFile).repairs
+    return True, read_mapping(path).repairs
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        return parse_toml(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RequestError(f"cannot read the column mapping {path}: {error}. See flights/mappings/.") from None
+
+
+def _converted(table: dict[str, Any], path: Path, kind: type[Kind]) -> Kind:
+    try:
+        refuse_unknown_keys(table, kind)
+        return msgspec.convert(table, kind)
+    except RequestError as error:
+        raise RequestError(f"{path}: {error}") from None
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, RequestError):
+            raise RequestError(f"{path}: {error.__cause__}") from None
+        raise RequestError(f"{path}: {described(error)}. See flights/mappings/.") from None
 
 
 @cache

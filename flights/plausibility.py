@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics import frames, quaternion
+from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import (
@@ -33,7 +33,6 @@ from flights.quantities import MOTION
 _GRID_RATE = 50.0  # Hz of the comparisons
 _MAX_ROWS = 60_000  # rows compared at most
 _SPAN = 10  # steps, 0.2 s, over which differences are taken: far above any sensor's delay
-_MAX_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
 _MAX_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
 _MIN_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _MIN_SPEED = 0.15  # m/s rms
@@ -44,11 +43,9 @@ _DEGREES = 180 / np.pi
 _MAX_SHIFT = 0.5  # s between two clocks that is tried
 _CLEAR_SHIFT = 0.08  # s beyond which no sensor is late in a usable log: further than the effect time_delay is searched
 _BETTER = 0.05  # by which the correlation must rise at that shift; others' logs with one clock: 0.016 at most
-_MIN_LATERAL = 0.2  # m/s^2 rms of force along body x and y that both sensors must show
 _MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
 _WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
 _CLIPPED = 0.01  # share of values at the largest, from which on a range ends there
-_CLEAR_FIT, _CLEARER_FIT = 0.8, 0.3  # correlation about zero of the order x, y, z, w, and by which it is better
 _DEAD = 0.005  # of the turning that an axis of the gyro must show
 _CLEAR_RATE = 0.15  # rad/s rms about an axis, at which it must show it
 
@@ -72,11 +69,7 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         first.setdefault(stream.name, stream)
     grid = _grid(list(first.values()))
     on_grid: dict[str, Floats] = {name: resample(first[name], grid) for name in MOTION if name in first}
-    order = _quaternion_order(on_grid)
-    if order is not None:  # every other comparison with the attitude would be of that
-        return (order,)
     contradictions = [
-        _too_slow(first),
         _impossible_rates(first),
         _rates_against_attitude(on_grid),
         _gravity(on_grid),
@@ -84,7 +77,6 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         _tilt_against_acceleration(on_grid),
         _force_against_acceleration(on_grid),
         _force_against_tilt(on_grid),
-        _lateral_force(on_grid),
         _clocks(on_grid),
     ]
     return tuple(finding for finding in contradictions if finding is not None)
@@ -96,56 +88,6 @@ def _grid(streams: list[Stream]) -> Floats:
     end = max((float(stream.time[-1]) for stream in spanning), default=0.0)
     count = min(int((end - start) * _GRID_RATE) + 1, _MAX_ROWS)
     return np.asarray(start + np.arange(count) / _GRID_RATE)
-
-
-def _too_slow(first: dict[str, Stream]) -> Contradiction | None:
-    """Attitude or gyro at the period of no flight log: the time is in a shorter unit than seconds."""
-    for name, longest in _MAX_PERIOD.items():
-        if name in first and longest < first[name].period < float("inf"):
-            return Contradiction(
-                "time_unit",
-                f"the {name} comes every {first[name].period:.3g} s, which is no flight log's rate: the time is not in "
-                "seconds. Wanted seconds; divide it, or give a column mapping with its unit (ms, us, ns).",
-            )
-    return None
-
-
-def _quaternion_order(on_grid: dict[str, Floats]) -> Contradiction | None:
-    """An attitude whose columns are x, y, z, w: in that order it fits the gyro and the acceleration, with w first not.
-
-    Gravity alone does not tell: a level attitude with w last is another level one.
-    """
-    if "attitude" not in on_grid:
-        return None
-    reordered = {**on_grid, "attitude": frames.quaternion_from_xyzw(on_grid["attitude"])}
-    fits = [(fit(on_grid), fit(reordered)) for fit in (_turning_fit, _acceleration_fit)]
-    comparisons = [(logged, other) for logged, other in fits if logged is not None and other is not None]
-    clear = [pair for pair in comparisons if pair[1] > _CLEAR_FIT and pair[0] < pair[1] - _CLEARER_FIT]
-    if not clear or any(other < logged for logged, other in comparisons):
-        return None
-    return Contradiction(
-        "quaternion_order",
-        "the attitude's quaternion is x, y, z, w: in that order it agrees with the other sensors (agreement "
-        f"{clear[0][1]:.2f}), with w first it does not ({clear[0][0]:.2f}). Wanted w, x, y, z; put w first, or give a "
-        "column mapping with order = 'xyzw'.",
-    )
-
-
-def _turning_fit(on_grid: dict[str, Floats]) -> float | None:
-    """Correlation about zero of the attitude's turning and the body rates; None where they cannot be compared."""
-    if "rate" not in on_grid:
-        return None
-    pair = both(_turned(on_grid["attitude"]) * (_GRID_RATE / _SPAN), _mean(on_grid["rate"]))
-    return None if pair is None or rms(pair[1]) < _MIN_RATE else agreement(*pair)
-
-
-def _acceleration_fit(on_grid: dict[str, Floats]) -> float | None:
-    """Correlation about zero of horizontal acceleration and the specific force, or the thrust's tilt, in the world."""
-    if "velocity" not in on_grid:
-        return None
-    force = on_grid.get("specific_force", np.array([0.0, 0.0, GRAVITY]))
-    pair = both(_change(on_grid["velocity"])[:, :2], _mean(quaternion.rotate(on_grid["attitude"], force))[:, :2])
-    return None if pair is None or rms(pair[0]) < _MIN_ACCELERATION else agreement(*pair)
 
 
 def _impossible_rates(first: dict[str, Stream]) -> Contradiction | None:
@@ -393,32 +335,6 @@ def _force_against_tilt(on_grid: dict[str, Floats]) -> Contradiction | None:
         f"{agreement(a, b):.2f}): it is in world axes. Wanted body FLU, where an accelerometer measures; rotate it "
         "back by the attitude.",
     )
-
-
-def _pose_force(on_grid: dict[str, Floats]) -> Floats:
-    """(n - 10, 3) specific force along body axes that the motion of the pose has, m/s^2."""
-    acceleration = _change(on_grid["velocity"])
-    middle = on_grid["attitude"][_SPAN // 2 : _SPAN // 2 + len(acceleration)]
-    return np.asarray(quaternion.rotate_inverse(middle, acceleration + np.array([0.0, 0.0, GRAVITY])))
-
-
-def _lateral_force(on_grid: dict[str, Floats]) -> Contradiction | None:
-    """Along body x and y the accelerometer reads the drag that slows the vehicle."""
-    if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
-        return None
-    pair = both(_pose_force(on_grid)[:, :2], _mean(on_grid["specific_force"])[:, :2])
-    if pair is None:
-        return None
-    a, b = (values - np.median(values, axis=0) for values in pair)
-    for axis in range(2):
-        one, other = a[:, axis], b[:, axis]
-        if is_opposite(one, other, _MIN_LATERAL):
-            return Contradiction(
-                "force_frame",
-                f"the specific force along {'xy'[axis]} has the opposite sign of what the pose's motion needs "
-                f"(agreement {agreement(one, other):.2f}): its axes are not the body's. Wanted body FLU.",
-            )
-    return None
 
 
 def _clocks(on_grid: dict[str, Floats]) -> Contradiction | None:

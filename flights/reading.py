@@ -13,8 +13,9 @@ import numpy as np
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import archive, plausibility, pose_source
 from flights.events import Event
+from flights.hypotheses import Hypothesis, explain
 from flights.log import Log, LogContent, Provenance, Stream
-from flights.mapping import read_mapping
+from flights.mapping import read_mapping, read_repairs
 from flights.readers import (
     betaflight,
     blackbox_csv,
@@ -31,6 +32,7 @@ from flights.readers import (
 )
 from flights.readers.table_head import table_head
 from flights.source import Source, TimeSpan, opened, sha256
+from flights.stream_repair import TIME, StreamRepair, repaired
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,38 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str |
     Raises RequestError for a path, mapping or pose that is wrong or an unknown format, DataError for a log that cannot
     be read or contradicts its units and frames.
     """
-    path = Path(path)
-    with opened_log(path, None if mapping is None else Path(mapping)) as source:
+    path, divided = Path(path), _divided(mapping)
+    with opened_log(path, divided.columns) as source:
         name = _format_name(source)
-        log = _checked_log(source, name, sha256(path), _read(source, name))
+        content = repaired(_read(source, name), divided.repairs)
+        log = _checked_log(source, name, sha256(path), content)
     return replace(log, metadata=pose_source.with_source(log.metadata, pose))
+
+
+def found_hypotheses(path: str | Path, *, mapping: str | Path | None = None) -> tuple[Hypothesis, ...]:
+    """Hypotheses about the columns of a log, with their repairs; also of one that `read_log` refuses for them.
+
+    mapping: column-mapping TOML. Raises what `read_log` raises, but for contradictions of units and frames.
+    """
+    path, divided = Path(path), _divided(mapping)
+    with opened_log(path, divided.columns) as source:
+        content = repaired(_read(source, _format_name(source)), divided.repairs)
+    return explain(content.streams)
+
+
+@dataclass(frozen=True)
+class _Divided:
+    """A mapping file as the readers need it: the mapping of columns, if it has one, and the repairs of streams."""
+
+    columns: Path | None
+    repairs: tuple[StreamRepair, ...]
+
+
+def _divided(mapping: str | Path | None) -> _Divided:
+    if mapping is None:
+        return _Divided(None, ())
+    maps_columns, repairs = read_repairs(Path(mapping))
+    return _Divided(Path(mapping) if maps_columns else None, repairs)
 
 
 def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
@@ -92,15 +121,17 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
     """
     if not seconds > 0:
         raise RequestError(f"a chunk cannot last {seconds} s; give a positive number of seconds.")
-    path = Path(path)
-    with opened_log(path, None if mapping is None else Path(mapping)) as source:
+    path, divided = Path(path), _divided(mapping)
+    with opened_log(path, divided.columns) as source:
         name, digest = _format_name(source), sha256(path)
         content = None if FORMATS[name].reads_spans else _read(source, name)
         span = TimeSpan(0.0, seconds)
         while True:
             chunk = _read(replace(source, span=span), name) if content is None else _cut(content, span)
             if chunk.streams or not (span.start or span.more):
-                yield _checked_log(source, name, digest, chunk)
+                there = {stream.name for stream in chunk.streams} | {TIME}
+                repairs = [repair for repair in divided.repairs if repair.quantity in there]
+                yield _checked_log(source, name, digest, repaired(chunk, repairs))
             if not span.more:
                 return
             span = span.next(seconds)
@@ -185,10 +216,11 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
         remarks = " ".join((*content.notes, *map(str, content.unused)))
         raise DataError(f"{path} is a {form.label} without flight data. {remarks}".rstrip())
     notes = list(content.notes)
-    for finding in plausibility.check(content.streams):
+    texts = [str(hypothesis) for hypothesis in explain(content.streams)]
+    for text in texts or [finding.text for finding in plausibility.check(content.streams)]:
         if not form.declares_frames:
-            raise DataError(f"{path}: {finding.text}")
-        notes.append(finding.text)
+            raise DataError(f"{path}: {text}")
+        notes.append(text)
     provenance = Provenance(
         str(path),
         digest,

@@ -62,6 +62,10 @@ def inspect(
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
+    repair: Annotated[
+        Path | None,
+        typer.Option(help="Write a mapping file that repairs columns that are not what they declare; inspect by it."),
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
     """Check logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
@@ -70,6 +74,7 @@ def inspect(
     refused: list[AlulaError] = []
     note_skipped(log, mapping)
     paths = log_paths(log, mapping)
+    mapping = mapping if repair is None else _repaired(paths, mapping, repair)
     for files in [paths] if one_flight else [[path] for path in paths]:
         try:
             streams = _read(files, mapping, pose)
@@ -112,6 +117,22 @@ def _read(files: list[Path], mapping: Path | None, pose: str | None) -> Log:
     from flights.one_flight import read_one_flight
 
     return read_one_flight(files, mapping=mapping, pose=pose)
+
+
+def _repaired(paths: list[Path], mapping: Path | None, repair: Path) -> Path | None:
+    """The mapping to read logs by: a new file with the repairs of the first, or the given one where it needs none."""
+    from flights.hypotheses.mapping_file import write_repairs
+    from flights.reading import found_hypotheses
+
+    hypotheses = found_hypotheses(paths[0], mapping=mapping)
+    if not hypotheses:
+        print(
+            f"nothing to repair: the columns of {printable(str(paths[0]))} agree, or move too little", file=sys.stderr
+        )
+        return mapping
+    write_repairs(hypotheses, repair, log=paths[0], mapping=mapping)
+    print(f"written: {repair}; give it as --mapping to the other commands", file=sys.stderr)
+    return repair
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:

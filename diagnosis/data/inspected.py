@@ -17,15 +17,13 @@ from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
-from flights import Flight, plausibility
+from flights import Flight
 from flights.exclusion import free_flight
-from flights.log import Stream
-from flights.plausibility import Contradiction
+from flights.quality.declared import declared_wrong, flying_streams
 from flights.quality.findings import Finding
 from flights.quality.frozen import frozen_findings
 from flights.quality.inspection import MIN_ROTOR_RATE
 from flights.quality.rotor_balance import UnevenRotor, rotor_findings, uneven_rotors
-from flights.quantities import MOTION
 
 TINY = 1e-3  # of a gain that is none
 
@@ -45,8 +43,8 @@ def inspected(
     uneven: dict[int, list[tuple[Flight, UnevenRotor]]] = {}
     for flight in flights:
         measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
-        for contradiction in _contradictions(flight, parts):
-            raise DataError(f"{name}: {contradiction.text}")
+        for finding in declared_wrong(flying_streams(flight, parts)):
+            raise DataError(f"{name}: {finding.text}. {finding.advice}.")
         of_rotors = rotor_findings(parts) if measured else []
         for finding in (*of_rotors, *frozen_findings(flight), *_battery_findings(parts, thresholds)):
             findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None
@@ -68,16 +66,6 @@ def inspected(
         return [_without_speeds(flight) for flight in flights], tuple(findings)
     flight, wrong = doubted[0]
     raise DataError(f"{Path(flight.provenance.path).name}: {_doubt(wrong, vehicle)}")
-
-
-def _contradictions(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction, ...]:
-    """Contradictions of a flight's columns while it flies. free: its segments of free flight."""
-    flying = np.zeros(len(flight), dtype=bool)
-    for part in free:
-        flying |= (flight.time >= part.time[0]) & (flight.time <= part.time[-1])
-    present = [name for name in MOTION if flight.has(name)]
-    streams = [Stream(name, flight.time, np.where(flying[:, None], flight[name], np.nan), "") for name in present]
-    return plausibility.check(streams) if flying.any() else ()
 
 
 def _misread(

@@ -14,6 +14,8 @@ from flights.quality.findings import Finding
 from flights.quantities import MOTION, RESET_COUNTERS, ROTORS
 
 MAX_JITTER = 0.5  # of a period, for 1 in 20 samples
+MAX_LOST = 0.02  # share of samples
+MIN_STEPS, REGULAR, ON_CLOCK = 20, 0.95, 0.1  # steps to judge by; share of them that lie on a clock within 0.1 periods
 STUCK_TIME = 10.0  # s for which a moving quantity may keep a value
 STUCK_BATTERY = 20.0  # s of flight in which any battery's reading moves
 MAX_REPEATS = 0.4  # share of samples that equal the one before
@@ -54,8 +56,9 @@ def channel_findings(log: Log, flying: Sequence[tuple[float, float]]) -> list[Fi
     """Findings about single streams. flying: segments of free flight, s."""
     findings: list[Finding] = []
     for channel in channels_of(log):
-        if channel.quantity in MOTION or channel.quantity in ROTORS:
-            findings += _timing(channel)
+        stream = log.stream(channel.quantity)
+        if stream is not None and (channel.quantity in MOTION or channel.quantity in ROTORS):
+            findings += _timing(channel, lost_samples(stream.time))
     for name in log.names:
         stream = log.stream(name)
         if stream is None or name in RESET_COUNTERS or name in ("armed", "landed") or name.endswith("setpoint"):
@@ -102,7 +105,22 @@ def _noise(values: Floats) -> float:
     return float(1.4826 * np.median(np.abs(finite)) / np.sqrt(6)) if len(finite) else 0.0
 
 
-def _timing(channel: Channel) -> list[Finding]:
+def lost_samples(time: Floats) -> float:
+    """Share of samples that are missing from a regular clock, 0 where it is none. time: (n,) s.
+
+    Steps of whole periods are samples that were lost on the way; others are stamped late.
+    """
+    steps = np.diff(time)
+    if len(steps) < MIN_STEPS:
+        return 0.0
+    periods = steps / np.median(steps)
+    steps_of = np.maximum(np.round(periods), 1)
+    if np.mean(np.abs(periods - steps_of) < ON_CLOCK) < REGULAR:
+        return 0.0
+    return float(1 - len(steps) / np.sum(steps_of[steps_of < GAP_PERIODS]))
+
+
+def _timing(channel: Channel, lost: float) -> list[Finding]:
     findings = []
     name, where = channel.quantity, f"{channel.quantity} ({channel.source})"
     if channel.gaps:
@@ -114,7 +132,16 @@ def _timing(channel: Channel) -> list[Finding]:
                 "they are masked; a faster card or fewer topics avoids them",
             )
         )
-    if channel.jitter * channel.rate > MAX_JITTER:
+    if lost > MAX_LOST:
+        findings.append(
+            Finding(
+                "warning",
+                "lost_samples",
+                f"{where}: {lost:.0%} of the samples of {channel.rate:.0f} Hz are missing, the others are on time",
+                "a faster card, fewer topics or a better link keeps them",
+            )
+        )
+    elif channel.jitter * channel.rate > MAX_JITTER:
         findings.append(
             Finding(
                 "warning",

@@ -12,7 +12,6 @@ import numpy as np
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.excitation import DRIVE, MEASURES, WRENCH
-from flights import plausibility
 from flights.assembly import EMPTY
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
@@ -21,12 +20,14 @@ from flights.log import Log, Repair, UnusedStream
 from flights.pose_source import PoseSource
 from flights.quality import advice
 from flights.quality.channels import Channel, channel_findings, channels_of
+from flights.quality.declared import declared_wrong, flying_streams
 from flights.quality.excitation import Coverage, Measure, coverages, measures
 from flights.quality.findings import Finding
 from flights.quality.identifiable import EffectAnswer, answers
 from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
 from flights.quantities import MOTION, PRIMARY, RESET_COUNTERS
+from flights.readers.bag_clocks import CLOCK_STEP, OTHER_CLOCK
 from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
@@ -96,7 +97,8 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     measured = measures(segments, ground=_ground_height(flight, exclusions))
     usable = _usable(log)
     findings = [
-        *_framed(log),
+        *(declared_wrong(log.streams) or declared_wrong(flying_streams(flight, segments))),
+        *_other_clocks(log),
         *_actuation(log),
         *_accelerations(log),
         *_empty(log),
@@ -172,10 +174,10 @@ def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
     return any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
 
 
-def _framed(log: Log) -> list[Finding]:
-    contradictions = plausibility.check(log.streams)
-    advised = "convert it, or give a column mapping"
-    return [Finding("error", item.name, item.text, advised, fatal=True) for item in contradictions]
+def _other_clocks(log: Log) -> list[Finding]:
+    """Topics of a bag that another clock stamped, or whose clock was set."""
+    repairs = [repair for repair in log.provenance.repairs if repair.name in (OTHER_CLOCK, CLOCK_STEP)]
+    return [Finding("warning", r.name, r.detail, "stamp all sensors by one clock (chrony, timesync)") for r in repairs]
 
 
 def _actuation(log: Log) -> list[Finding]:

@@ -13,6 +13,7 @@ from dynamics import frames
 from dynamics.arrays import Floats
 from dynamics.units import RPM
 from flights.assembly import MAX_VALUE, Assembly
+from flights.readers.bag_clocks import Clock
 from flights.readers.px4_rotors import add_servo_outputs
 from flights.velocity_frame import velocity_world
 
@@ -29,6 +30,7 @@ class Samples:
     def __init__(self, kind: str) -> None:
         self.kind = kind
         self.stamps = array("q")
+        self.recorded = array("q")
         self.unstamped = 0
         self.width = 0
         self.frames: set[tuple[str, str]] = set()
@@ -48,6 +50,7 @@ class Samples:
         stamp = 0 if header is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
         self.unstamped += stamp == 0
         self.stamps.append(stamp or recorded)
+        self.recorded.append(recorded)
         self._numbers.extend(numbers)
         if header is not None:
             self.frames.add((header.frame_id, getattr(message, "child_frame_id", "")))
@@ -60,12 +63,12 @@ class Samples:
             self._fields = rotor_fields([name for name in dir(message) if not name.startswith("_")])
         return (getattr(message, field) for field in self._fields)
 
-    def convert(self, assembly: Assembly, topic: str, *, is_paper: bool) -> None:
-        """Add the topic's streams. is_paper: in a bag of the paper's set."""
-        time = assembly.seconds(np.array(self.stamps), 1_000_000_000)
+    def convert(self, assembly: Assembly, topic: str, clock: Clock, *, is_paper: bool) -> None:
+        """Add the topic's streams. clock: of its stamps. is_paper: in a bag of the paper's set."""
+        time = assembly.seconds((np.array(self.stamps) + clock.shift)[clock.rows], 1_000_000_000)
         if self.unstamped and self.kind in CONVERTERS:
             assembly.note(f"{topic}: {self.unstamped} messages without a stamp have the time of their recording")
-        values = np.array(self._numbers).reshape(len(self), -1)
+        values = np.array(self._numbers).reshape(len(self), -1)[clock.rows]
         values[~(np.abs(values) < MAX_VALUE)] = np.nan  # before anything is computed with damage
         converter = CONVERTERS.get(self.kind)
         if converter is None:

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import ReaderError as Reader1Error
@@ -29,6 +30,7 @@ from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers import px4_messages
+from flights.readers.bag_clocks import clocks_of
 from flights.readers.bag_limits import limits_of
 from flights.readers.px4_messages import Px4Samples
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
@@ -141,10 +143,14 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
                 "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
             )
     px4_messages.add_streams(assembly, {topic: rows for topic, rows in samples.items() if isinstance(rows, Px4Samples)})
-    for topic in sorted(samples, key=_preference):
-        rows = samples[topic]
-        if isinstance(rows, Samples) and len(rows):
-            rows.convert(assembly, topic, is_paper=paper is not None)
+    stamped = {topic: rows for topic, rows in samples.items() if isinstance(rows, Samples) and len(rows)}
+    clocks = clocks_of(
+        {topic: np.array(rows.stamps) for topic, rows in stamped.items()},
+        {topic: np.array(rows.recorded) for topic, rows in stamped.items()},
+        assembly,
+    )
+    for topic in sorted(stamped, key=_preference):
+        stamped[topic].convert(assembly, topic, clocks[topic], is_paper=paper is not None)
 
 
 def _of_one_vehicle(connections: list[Connection], assembly: Assembly) -> list[Connection]:

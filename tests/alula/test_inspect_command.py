@@ -84,6 +84,23 @@ def test_lying_on_the_ground_with_motors_on_is_no_flight(
     assert ("no_flight" in {finding.name for finding in inspection.findings}) == (code == 3)
 
 
+def test_a_wrong_unit_is_refused_and_repair_writes_the_file_that_reads_it(inspect: Inspect, tmp_path: Path) -> None:
+    real = Flight.read(Path("tests/data/nanobench/B3_figure8_fast_rep1.csv.gz"))
+    in_mm = real.columns | {f"position_{axis}": 1000 * real[f"position_{axis}"] for axis in "xyz"}
+    path, repairs = Flight(real.time, in_mm, real.provenance).to_csv(tmp_path / "mm.csv"), tmp_path / "repairs.toml"
+    refused = inspect(path)
+    assert refused.code == 3
+    assert 'repairs = [{quantity = "position", scale = 0.001}]' in refused.err
+    repaired = inspect(path, "--repair", repairs)
+    assert repaired.code == 0
+    assert f"written: {repairs}" in repaired.err
+    assert inspect(path, "--mapping", repairs).out == repaired.out
+    assert inspect(path, "--repair", repairs).code == 2  # it is not written over
+    unneeded = tmp_path / "unneeded.toml"
+    assert "nothing to repair" in inspect(path, "--mapping", repairs, "--repair", unneeded).err
+    assert not unneeded.exists()
+
+
 def test_a_cut_log_is_said_to_be_cut(inspect: Inspect, good: Path, tmp_path: Path) -> None:
     packed = gzip.compress(good.read_bytes())
     path = tmp_path / "cut.csv.gz"

@@ -1,0 +1,166 @@
+"""Clocks: stamps in bursts, a time in another unit, and sensors that are stamped by different clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dynamics.arrays import Floats
+from flights.alignment import resample
+from flights.hypotheses.hypothesis import Hypothesis, Streams
+from flights.hypotheses.motion import GRID_RATE, Motion
+from flights.log import Stream
+from flights.quantities import MOTION, ROTORS
+from flights.stream_repair import TIME, StreamRepair, evenly
+
+_SLOWEST = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s, of any log
+_FASTEST = 1 / 20_000  # s
+_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_USUAL = (1 / 20_000, 0.5)  # s between samples of a flight log
+_BURST = 0.25  # of the mean period, below which a step belongs to a burst; jitter of a scheduler does not come so close
+_BURST_SHARE = 0.3  # of the steps
+_MIN_SAMPLES = 100
+_GAP = 10.0  # mean periods, beyond which a step is a gap rather than the pause between bursts
+_MIN_COVERED = 0.5  # share of a stream's time that has samples
+_MIN_CHANGE = 0.05  # rad/s or m/s by which its size varies: less tells no time
+_PAIRS = (("attitude", "rate", ("rate", "specific_force")), ("position", "velocity", ("velocity",)))
+_REACH = 60.0  # s by which clocks may differ
+_MIN_OVERLAP = 10.0  # s that are compared
+_CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
+_FOLLOWS = 0.7  # correlation of the sizes of turning and rates at the right shift,
+_BETTER = 0.15  # and by which it exceeds that without, and
+_UNIQUE = 0.03  # that at any other shift further than a second
+
+
+def bursts(streams: Streams) -> list[Hypothesis]:
+    """Streams whose samples were stamped when they were published, several at once."""
+    hypotheses = []
+    for name in (*MOTION, *ROTORS):
+        stream = streams.get(name)
+        if stream is None:
+            continue
+        time = stream.time[np.isfinite(stream.values).any(axis=1)]  # a table of several clocks has rows without it
+        if len(time) < _MIN_SAMPLES:
+            continue
+        steps = np.diff(time)
+        mean = float(steps.mean())
+        inside = steps[steps < _GAP * mean]
+        mean = float(inside.mean()) if len(inside) else mean
+        close = inside < _BURST * mean
+        if close.mean() < _BURST_SHARE or float(inside.max()) < 2 * mean:
+            continue
+        restored = evenly(time)
+        even, worst = float(np.median(np.diff(restored))), float(np.max(np.abs(restored - time)))
+        hypotheses.append(
+            Hypothesis(
+                "burst_stamps",
+                f"{name} is stamped in bursts: {1 / even:.0f} Hz by count, while {close.mean():.0%} of its stamps "
+                f"follow within {1e3 * float(np.median(inside[close])):.2g} ms",
+                f"up to {1e3 * float(inside.max()):.0f} ms without a sample, then several at once; even stamps differ "
+                f"by {1e3 * worst:.0f} ms at most",
+                (StreamRepair(name, even=True),),
+            )
+        )
+    return hypotheses
+
+
+def time_unit(streams: Streams) -> list[Hypothesis]:
+    """A time that is in no seconds, by a rate that no flight log has."""
+    slow = {n: s.period for n, s in streams.items() if n in _SLOWEST and _SLOWEST[n] < s.period < np.inf}
+    fast = {n: s.period for n, s in streams.items() if n in _SLOWEST and s.period < _FASTEST}
+    if slow:
+        name, period = min(slow.items(), key=lambda item: item[1])
+        unit = next((u for u, f in _UNITS.items() if _USUAL[0] <= period * f <= _USUAL[1]), None)
+        if unit is None:
+            return []
+        text = f"the time is in {unit}, not in seconds"
+        evidence = f"{name} comes every {period:.4g}, which are {1e3 * period * _UNITS[unit]:.3g} ms"
+        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=_UNITS[unit]),))]
+    if fast and not bursts(streams):
+        name, period = max(fast.items(), key=lambda item: item[1])
+        unit = next((u for u, f in _UNITS.items() if _USUAL[0] <= period / f <= _USUAL[1]), None)
+        if unit is None:
+            return []
+        text = f"the time is too short by {1 / _UNITS[unit]:.0e}: it was taken for {unit} and is in seconds"
+        evidence = f"{name} comes every {period:.2g} s, which no sensor does"
+        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=1 / _UNITS[unit]),))]
+    return []
+
+
+def offsets(streams: Streams) -> list[Hypothesis]:
+    """Streams of one motion that are stamped by different clocks, by its size: that is the same in all axes."""
+    return [offset for pair in _PAIRS if (offset := _offset(streams, *pair)) is not None]
+
+
+def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, ...]) -> Hypothesis | None:
+    if not {name, other_name} <= streams.keys():
+        return None
+    ours, others = _sizes(streams[name]), _sizes(streams[other_name])
+    if ours is None or others is None:
+        return None
+    (start, one), (begin, other) = ours, others
+    shift, follows, without = _best_shift(one, other, round((begin - start) * GRID_RATE))
+    late = round(begin - start - shift / GRID_RATE, 3)  # s by which the other's stamps are late
+    if follows < _FOLLOWS or follows - without < _BETTER or abs(late) < _CLEAR_SHIFT:
+        return None
+    return Hypothesis(
+        "clock",
+        f"the {other_name} is on another clock than the {name}: {abs(late):.2f} s {'late' if late > 0 else 'early'}",
+        f"their sizes follow each other by {follows:.2f} at that shift, by {max(without, 0.0):.2f} without",
+        tuple(StreamRepair(moved, late=late) for moved in late_with if moved in streams),
+    )
+
+
+def _sizes(stream: Stream) -> tuple[float, Floats] | None:
+    """Start, s, and (n,) sizes of a stream's motion, on a grid of its own; None for one that moves too little."""
+    time = np.arange(stream.time[0], stream.time[-1], 1 / GRID_RATE)
+    if len(time) < _MIN_OVERLAP * GRID_RATE:
+        return None
+    motion = Motion({stream.name: resample(stream, time)})
+    vectors_of: dict[str, Callable[[], Floats]] = {
+        "attitude": lambda: motion.turning(motion.values["attitude"]),
+        "rate": lambda: motion.rate,
+        "position": lambda: motion.moved,
+        "velocity": lambda: motion.velocity,
+    }
+    sizes = np.linalg.norm(vectors_of[stream.name](), axis=1)
+    finite = np.isfinite(sizes)
+    if finite.mean() < _MIN_COVERED or not float(np.std(sizes[finite])) > _MIN_CHANGE:
+        return None
+    return float(time[0]), np.where(finite, sizes, np.median(sizes[finite]))
+
+
+def _best_shift(one: Floats, other: Floats, declared: int) -> tuple[int, float, float]:
+    """Rows by which the other's start lies after one's, the correlation there, and that where the stamps say.
+
+    declared: rows that the stamps say.
+    """
+    reach = round(_REACH * GRID_RATE)
+    overlap = round(_MIN_OVERLAP * GRID_RATE)
+    around = declared if -len(other) + overlap < declared < len(one) - overlap else 0
+    candidates = range(max(around - reach, -len(other) + overlap), min(around + reach, len(one) - overlap) + 1)
+    if not candidates:
+        return declared, 0.0, 0.0
+    scores = _correlations(one, other, np.array(candidates))
+    best = int(np.argmax(scores))
+    there = int(declared - candidates[0])
+    without = float(scores[there]) if 0 <= there < len(scores) else 0.0
+    far = np.abs(np.arange(len(scores)) - best) > GRID_RATE
+    if far.any() and scores[far].max() > scores[best] - _UNIQUE:
+        return declared, without, without
+    return candidates[best], float(scores[best]), without
+
+
+def _correlations(one: Floats, other: Floats, shifts: np.ndarray) -> Floats:
+    """Correlation of two signals where the other begins so many rows after one; over their overlap."""
+    from scipy.signal import correlate
+
+    one, other = one - one.mean(), other - other.mean()
+    lags = np.arange(-len(other) + 1, len(one))
+    product = correlate(one, other, method="fft")
+    power_one = correlate(one**2, np.ones_like(other), method="fft")
+    power_other = correlate(np.ones_like(one), other**2, method="fft")
+    at = np.searchsorted(lags, shifts)
+    size = np.sqrt(np.maximum(power_one[at] * power_other[at], 1e-12))
+    return np.asarray(product[at] / size)

@@ -1,0 +1,54 @@
+"""A hypothesis about what a log's columns really are, with its evidence and the lines that repair it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import msgspec
+
+from flights.log import Stream
+from flights.stream_repair import TIME, StreamRepair, apply, toml_value
+
+Streams = Mapping[str, Stream]  # by quantity
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An explanation of a log's columns, other than the declared one, by how well physics closes.
+
+    name: for programs.
+    text: what they are.
+    evidence: what closes by it, and how far.
+    repairs: what makes the columns those of a flight.
+    """
+
+    name: str
+    text: str
+    evidence: str
+    repairs: tuple[StreamRepair, ...]
+
+    @property
+    def lines(self) -> str:
+        """The repairs as one line of a mapping file."""
+        tables = (msgspec.to_builtins(repair) for repair in self.repairs)
+        inline = ", ".join("{" + ", ".join(f"{k} = {toml_value(v)}" for k, v in t.items()) + "}" for t in tables)
+        return f"repairs = [{inline}]"
+
+    @property
+    def advice(self) -> str:
+        """Advice about it, for people."""
+        return f"repair: {self.lines} in a mapping file, which `alula inspect LOG --repair FILE` writes"
+
+    def __str__(self) -> str:
+        """Statement, evidence and advice, for people."""
+        return f"{self.text} ({self.evidence}). Wanted SI units, ENU and FLU, by one clock; {self.advice}."
+
+
+def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:
+    """The streams as a hypothesis repairs them."""
+    repaired = dict(streams)
+    for repair in hypothesis.repairs:
+        concerned = [name for name in repaired if repair.quantity in (TIME, name)]
+        repaired |= {name: apply(repaired[name], repair) for name in concerned}
+    return repaired

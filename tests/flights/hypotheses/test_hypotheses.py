@@ -1,0 +1,111 @@
+"""Columns that are other than declared are named by how physics closes, on real flights and another simulator's."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixtures.wrong_columns import MUTATIONS, in_bursts, rotation, turned, with_values
+from flights import read_log
+from flights.hypotheses import explain
+from flights.hypotheses.hypothesis import after
+from flights.log import Stream
+
+DATA = Path("tests/data")
+RIGHT = [
+    DATA / "nanobench" / "B3_figure8_fast_rep1.csv.gz",
+    DATA / "px4_sih_flights" / "drag2_4_lemniscate.ulg.gz",
+    DATA / "rotorpy_100hz" / "flight_2.csv.gz",
+]
+BRISK = pytest.mark.parametrize("log", RIGHT, ids=lambda path: path.name)
+
+
+@cache
+def streams_of(log: Path) -> dict[str, Stream]:
+    first: dict[str, Stream] = {}
+    for stream in read_log(log).streams:
+        first.setdefault(stream.name, stream)
+    return first
+
+
+@BRISK
+def test_a_right_log_is_what_it_declares(log: Path) -> None:
+    assert explain(list(streams_of(log).values())) == ()
+
+
+@BRISK
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_wrong_declaration_is_named_and_its_repair_leaves_nothing_to_repair(log: Path, name: str) -> None:
+    change, causes = MUTATIONS[name]
+    right = streams_of(log)
+    if name == "velocity in cm/s" and "velocity" not in right:
+        pytest.skip("the log has no velocity")
+    streams = change(dict(right))
+    hypotheses = explain(list(streams.values()))
+    assert causes & {hypothesis.name for hypothesis in hypotheses}, [str(hypothesis) for hypothesis in hypotheses]
+    repaired: dict[str, Stream] = streams
+    for hypothesis in hypotheses:
+        repaired = after(repaired, hypothesis)
+    assert explain(list(repaired.values())) == ()
+
+
+@pytest.mark.parametrize("degrees", [20.0, 45.0, 120.0])
+@pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [0.6, -0.3, 0.2]])
+def test_the_turn_of_an_imu_is_given_to_half_a_degree(axis: list[float], degrees: float) -> None:
+    streams = turned(("rate", "specific_force"), rotation(axis, degrees).T)(dict(streams_of(RIGHT[2])))
+    (hypothesis,) = explain(list(streams.values()))
+    assert "the IMU is turned by" in hypothesis.text
+    degrees_named = float(hypothesis.text.split("turned by ")[1].split(" ")[0])
+    assert degrees_named == pytest.approx(degrees, abs=0.5)
+
+
+def test_two_wrong_things_are_both_named() -> None:
+    streams = dict(streams_of(RIGHT[0]))
+    for name in ("position in mm", "x, y, z, w", "rates in deg/s"):
+        streams = MUTATIONS[name][0](streams)
+    assert {h.name for h in explain(list(streams.values()))} >= {
+        "position_unit",
+        "quaternion_order",
+        "rates_in_degrees",
+    }
+
+
+def test_a_factor_that_is_no_unit_is_called_a_factor() -> None:
+    streams = dict(streams_of(RIGHT[2]))
+    streams["rate"] = with_values(streams["rate"], 0.01 * streams["rate"].values)
+    (hypothesis,) = explain(list(streams.values()))
+    assert "a factor that is no unit" in hypothesis.text
+    assert hypothesis.repairs[0].scale == pytest.approx(100.0, rel=0.02)
+
+
+def test_hover_tells_nothing_and_says_nothing() -> None:
+    time = np.arange(0.0, 20.0, 0.01)
+    noise = np.random.default_rng(5).normal(size=(len(time), 10))
+    level = np.column_stack([np.ones(len(time)), 1e-3 * noise[:, :3]])
+    still = [
+        Stream("attitude", time, level / np.linalg.norm(level, axis=1, keepdims=True), ""),
+        Stream("position", time, 1e-3 * noise[:, 3:6], ""),
+        Stream("rate", time, 1e-2 * noise[:, 6:9], ""),
+        Stream("specific_force", time, np.column_stack([0.1 * noise[:, :2], 9.81 + 0.1 * noise[:, 2]]), ""),
+    ]
+    assert explain(still) == ()
+
+
+def test_lost_samples_are_no_bursts() -> None:
+    streams = dict(streams_of(RIGHT[0]))
+    rows = np.random.default_rng(1).random(len(streams["attitude"].time)) > 0.2
+    lost = {n: with_values(s, s.values[rows], s.time[rows]) for n, s in streams.items() if len(s.time) == len(rows)}
+    assert explain(list({**streams, **lost}.values())) == ()
+
+
+def test_even_stamps_are_the_samples_own_but_for_a_constant() -> None:
+    right = streams_of(RIGHT[0])
+    streams = in_bursts(dict(right))
+    for hypothesis in explain(list(streams.values())):
+        streams = after(streams, hypothesis)
+    off = streams["attitude"].time - right["attitude"].time
+    period = right["attitude"].period
+    assert np.ptp(off) < 0.5 * period
