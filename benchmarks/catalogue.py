@@ -278,6 +278,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("flights/delays.py", "flights/delay_fit.py"),
             ("--flights", "1", "--jobs", "1"),
         ),
+        "health": Measurement(
+            "benchmarks.flight_health:flight_health",
+            ("flight_health",),
+            ("flights/health",),
+            ("--cases", "1", *NOT_KEPT),
+        ),
         "rotor_orders": Measurement(
             "benchmarks.readers:rotor_orders", ("rotor_orders",), ("diagnosis/data",), ("--sets", "1")
         ),

@@ -17,7 +17,8 @@ from flights.readers.dataflash_messages import Messages, read_messages
 NAMES = ("VIBE", "XKF4", "NKF4", "GPS", "ERR", "EV", "MODE", "MSG", "BAT", "CURR", "ARM", "XKF3", "NKF3")
 RATIOS = {"velocity": "SV", "position": "SP", "height": "SH", "magnetometer": "SM"}
 MODES = {0: "Stabilize", 1: "Acro", 2: "AltHold", 3: "Auto", 4: "Guided", 5: "Loiter", 6: "RTL", 7: "Circle", 9: "Land",
-         11: "Drift", 13: "Sport", 14: "Flip", 15: "AutoTune", 16: "PosHold", 17: "Brake", 18: "Throw", 19: "Avoid ADSB",
+         11: "Drift", 13: "Sport", 14: "Flip", 15: "AutoTune", 16: "PosHold", 17: "Brake", 18: "Throw",
+         19: "Avoid ADSB",
          20: "Guided without GPS", 21: "SmartRTL", 22: "FlowHold", 23: "Follow", 24: "ZigZag", 25: "System ID",
          26: "Autorotate", 27: "Auto RTL"}  # fmt: skip
 SUBSYSTEMS = {2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsafe", 8: "ground station failsafe",
@@ -27,7 +28,8 @@ SUBSYSTEMS = {2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsaf
               26: "sensor failsafe", 28: "pilot input", 29: "vibration failsafe", 30: "internal error",
               31: "dead-reckoning failsafe"}  # fmt: skip
 EVENTS = {10: ("armed", "armed"), 11: ("disarmed", "disarmed"), 18: ("landed", "landed"), 28: ("takeoff", "took off"),
-          17: ("maybe_landed", "maybe landed"), 54: ("kill", "motors emergency stop"), 62: ("yaw_reset", "EKF yaw reset")}  # fmt: skip
+          17: ("maybe_landed", "maybe landed"), 54: ("kill", "motors emergency stop"),
+          62: ("yaw_reset", "EKF yaw reset")}  # fmt: skip
 PARACHUTE, CRASH, GPS_GLITCH = 15, 12, 11
 
 
@@ -144,7 +146,9 @@ def _events(messages: Mapping[str, Messages], start: float) -> Iterator[HealthEv
 
 def _landed(events: tuple[HealthEvent, ...]) -> Series | None:
     """The land detector by its events, in the order of time."""
-    changes = sorted((e.time, float(e.name != "takeoff")) for e in events if e.name in ("landed", "takeoff", "disarmed"))
+    changes = sorted(
+        (e.time, float(e.name != "takeoff")) for e in events if e.name in ("landed", "takeoff", "disarmed")
+    )
     if not any(value == 0.0 for _, value in changes):
         return None
     time, values = np.array(changes).T

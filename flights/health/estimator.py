@@ -27,7 +27,7 @@ ADVICE = {
     "position": "look at the GPS's or camera's quality at that time",
     "height": "look at the barometer (light and prop wash on it) or the height sensor",
     "heading": "calibrate the compass away from metal; look at the heading's source",
-    "magnetometer": "move the compass away from power wires and calibrate it, or let the heading come from GPS or vision",
+    "magnetometer": "move the compass away from power wires and calibrate it, or take the heading from GPS or vision",
 }
 
 
@@ -79,15 +79,18 @@ def reset_statements(record: Record) -> Iterator[Statement]:
     instance = record.autopilot.instance
     if instance is None or len(instance.values) < 2:
         return
-    at = instance.time[np.flatnonzero(np.diff(instance.values) != 0) + 1]
-    at = at[record.airborne(at)]
-    if not len(at):
+    times = instance.time[np.flatnonzero(np.diff(instance.values) != 0) + 1]
+    times = times[record.airborne(times)]
+    if not len(times):
         return
-    most = max(int(((at >= t) & (at <= t + SWITCH_WINDOW)).sum()) for t in at)
+    most = max(int(((times >= t) & (times <= t + SWITCH_WINDOW)).sum()) for t in times)
     level = "fault" if most >= SWITCHES.fault else "warning"
-    text = f"the estimator changed its instance {len(at)} times in flight, {most} times within {SWITCH_WINDOW:.0f} s"
-    evidence = Evidence(float(at[0]), float(at[-1]), instance.channel, float(len(at)), "changes", SWITCHES.warning)
-    advice = "one IMU, compass or barometer disagrees with its peers: compare them around these times, calibrate, exchange"
+    text = f"the estimator changed its instance {len(times)} times in flight, {most} times within {SWITCH_WINDOW:.0f} s"
+    begins, ends, count = float(times[0]), float(times[-1]), float(len(times))
+    evidence = Evidence(begins, ends, instance.channel, count, "changes", SWITCHES.warning)
+    advice = (
+        "one IMU, compass or barometer disagrees with its peers: compare them around these times, calibrate, exchange"
+    )
     yield Statement("estimator_switches", level, "seen", text, evidence, advice=advice)
 
 
@@ -102,7 +105,9 @@ def gps_statements(record: Record) -> Iterator[Statement]:
     if (fix.values < FIX_3D).all():
         satellites = own.gps_satellites.values.max() if own.gps_satellites is not None else 0
         source = "" if own.uses_gps is not False else "; the estimator did not use it and flew by another source"
-        text = f"the satellite receiver had no fix at any time ({satellites:.0f} satellites at most){source}: this is no"
+        text = (
+            f"the satellite receiver had no fix at any time ({satellites:.0f} satellites at most){source}: this is no"
+        )
         text += " loss in flight, and whether something disturbs it the log cannot tell"
         evidence = Evidence(float(fix.time[0]), float(fix.time[-1]), fix.channel, float(fix.values.max()), "1", FIX_3D)
         yield Statement("no_gps_fix", "note", "seen", text, evidence)

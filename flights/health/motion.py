@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy.signal
 
 from dynamics.arrays import Floats
 from flights.health.answer import Evidence, Level, Statement
@@ -17,6 +16,8 @@ from flights.health.thresholds import (
     IMPACT_FORCE,
     IMPACT_RATE,
     IMPACT_WINDOW,
+    LEANING,
+    LEANING_FOR,
     LINE_SHARE,
     OSCILLATION,
     UPSET,
@@ -66,7 +67,9 @@ def oscillation_statements(record: Record) -> Iterator[Statement]:
         return
     beside = "" if asked is None else f", its setpoint with {asked:.1f} rad/s alone"
     text = f"{shown}{beside}: the rate loop is close to unstable, or something on the vehicle is loose"
-    advice = f"lower {gains}_P and _D (ATC_RAT_* in ArduPilot) by a third; look for loose arms and a soft autopilot mount"
+    advice = (
+        f"lower {gains}_P and _D (ATC_RAT_* in ArduPilot) by a third; look for loose arms and a soft autopilot mount"
+    )
     yield Statement("oscillation", level, "likely", text, evidence, advice=advice)
 
 
@@ -95,9 +98,12 @@ def _lines(
     if finite.sum() < count:
         return
     values = np.interp(even, time[finite], rate[finite])
+    taper = np.hanning(count)
+    frequency = np.fft.rfftfreq(count, period)
     for first in range(0, len(even) - count + 1, count // 2):
-        part = scipy.signal.detrend(values[first : first + count])
-        frequency, power = scipy.signal.periodogram(part, 1 / period, window="hann", scaling="spectrum")
+        part = values[first : first + count]
+        part = part - np.polyval(np.polyfit(even[:count] - even[0], part, 1), even[:count] - even[0])
+        power = np.abs(np.fft.rfft(taper * part) / taper.sum()) ** 2 * 2  # of a sine: half its amplitude squared
         fast = frequency >= LOWEST_LINE
         if fast.sum() < 4 or power[fast].sum() <= 0:
             continue
@@ -148,7 +154,9 @@ def vibration_statements(record: Record) -> Iterator[Statement]:
         level = level_of(count, CLIPPED)
         if level is not None:
             begins = float(part.time[np.flatnonzero(part.values > part.values[0])[0]])
-            text = f"the accelerometer was at its limit in {count:.0f} samples from {begins:.1f} s on: the estimate drifts"
+            text = (
+                f"the accelerometer was at its limit in {count:.0f} samples from {begins:.1f} s on: the estimate drifts"
+            )
             evidence = Evidence(begins, float(part.time[-1]), part.channel, count, "samples", CLIPPED.warning)
             yield Statement("clipping", level, "seen", text, evidence, advice="reduce vibration, see there")
             return
@@ -171,7 +179,9 @@ def raw_vibration(record: Record) -> Statement | None:
         f"successive samples of the accelerometer scatter by {scatter:.1f} m/s^2 in flight, as strong vibration makes "
         "them; the autopilot's own measure is not in this log"
     )
-    evidence = Evidence(record.start, record.end, f"{source}, scatter along body z", scatter, "m/s^2", VIBRATION.warning)
+    evidence = Evidence(
+        record.start, record.end, f"{source}, scatter along body z", scatter, "m/s^2", VIBRATION.warning
+    )
     advice = "balance or exchange the propellers, look for loose screws and motors, mount the autopilot softer"
     return Statement("vibration", level, "likely", text, evidence, advice=advice)
 
@@ -194,6 +204,34 @@ def upset_statement(record: Record) -> Statement | None:
     text = f"control was lost at {lost[0]:.1f} s: {shown}"
     evidence = Evidence(lost[0], lost[1], source, value, "rad", UPSET)
     return Statement("lost_control", "fault", "seen", text, evidence)
+
+
+def leaning_statement(record: Record) -> Statement | None:
+    """A vehicle that lies tilted on something with its rotors turning."""
+    found, attitude = record.values("specific_force"), record.values("attitude")
+    if found is None or attitude is None:
+        return None
+    time, force, source = found
+    width = max(1, round(0.5 / max(float(np.median(np.diff(time))), 1e-3)))
+    if len(time) < 2 * width:
+        return None
+    mean = np.stack([np.convolve(np.nan_to_num(force[:, k]), np.ones(width) / width, mode="same") for k in (0, 1)])
+    across = np.linalg.norm(mean, axis=0)
+    angles = np.interp(time, attitude[0], np.nan_to_num(tilt(attitude[1])))
+    rests = np.abs(across - 9.81 * np.sin(angles)) < 0.4 * across  # gravity alone, seen from a tilted body
+    times = spans(time, (across > LEANING) & rests & record.airborne(time), LEANING_FOR)
+    if not times:
+        return None
+    start, end = times[0]
+    rows = (time >= start) & (time <= end)
+    angle = float(np.degrees(np.nanmax(tilt(attitude[1])[(attitude[0] >= start) & (attitude[0] <= end)], initial=0.0)))
+    text = (
+        f"the vehicle lay tilted by up to {angle:.0f} degrees from {start:.1f} to {end:.1f} s with its motors armed: "
+        "it tipped over on the ground"
+    )
+    evidence = Evidence(start, end, f"{source}, across the body", float(across[rows].max()), "m/s^2", LEANING)
+    advice = "stop the motors at once after such a landing; look at propellers and motors before the next flight"
+    return Statement("tipped_over", "fault", "seen", text, evidence, advice=advice)
 
 
 def impacts(record: Record) -> tuple[tuple[float, str, float], ...]:
@@ -231,22 +269,35 @@ def impact_statement(record: Record) -> Statement | None:
     turn = max((blow for blow in group if "rates" in blow[1]), key=lambda blow: blow[2], default=None)
     height = _height(record, at)
     where = "" if height is None else f" {height:.1f} m above the lowest place"
-    parts = ([f"{force[2] / 9.81:.1f} g"] if force else []) + ([f"{turn[2]:.0f} rad/s between two samples"] if turn else [])
+    parts = ([f"{force[2] / 9.81:.1f} g"] if force else []) + (
+        [f"{turn[2]:.0f} rad/s between two samples"] if turn else []
+    )
     unit, healthy = ("m/s^2", IMPACT_FORCE) if "force" in channel else ("rad/s", IMPACT_RATE)
     evidence = Evidence(at, at + 0.3, channel, size, unit, healthy)
     if chosen is None:
         text = f"the vehicle touched the ground at {at:.1f} s with {', '.join(parts)}"
         return Statement("touch_down", "note", "likely", text, evidence)
+    tilted = _tilt_after(record, at)
     order = (
         "after control was lost" if lost is not None and at > lost[0] + SUDDEN
         else "and control was lost with it" if lost is not None and at > lost[0] - SUDDEN
         else "before control was lost" if lost is not None and lost[0] < at + 3.0
+        else f"after which the vehicle tilted by {tilted:.0f} degrees" if tilted > np.degrees(UPSET)
         else "control was kept"
     )  # fmt: skip
     text = f"the vehicle hit something at {at:.1f} s{where} ({', '.join(parts)}), {order}"
     level: Level = "fault" if lost is not None or len(group) > 1 else "warning"
     advice = "look for damage to propellers, arms and motor shafts before the next flight"
     return Statement("impact", level, "seen" if force and turn else "likely", text, evidence, advice=advice)
+
+
+def _tilt_after(record: Record, at: float) -> float:
+    """The largest tilt in the 2 s after a time, degrees; 0 where it is not logged."""
+    found = record.values("attitude")
+    if found is None:
+        return 0.0
+    rows = (found[0] >= at) & (found[0] <= at + 2.0)
+    return float(np.degrees(np.nanmax(tilt(found[1][rows]), initial=0.0)))
 
 
 def _height(record: Record, at: float) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynamics.arrays import Floats
-from flights.health.answer import Evidence, Level, Statement
+from flights.health.answer import Certainty, Evidence, Level, Statement
 from flights.health.record import Record, Series, spans
 from flights.health.rotors import hover_rows
 from flights.health.thresholds import AT_LIMIT, CELL, HOVER_SHARE, NEAR_LIMIT, PLAUSIBLE_CELL, SAG, Limit
@@ -77,9 +77,11 @@ def _low(record: Record, per_cell: Series, cells: int) -> Iterator[Statement]:
     level: Level = "fault" if lowest < CELL.fault else "warning"
     end = below[-1][1]
     evidence = Evidence(below[0][0], end, f"{per_cell.channel} a cell", lowest, "V", CELL.warning)
-    certainty = "seen" if record.autopilot.cells else "likely"
+    certainty: Certainty = "seen" if record.autopilot.cells else "likely"
     text = f"the battery falls to {shown} from {below[0][0]:.1f} s on: empty, too small or too old for this load"
-    yield Statement("battery_low", level, certainty, text, evidence, advice="charge or replace the battery; land earlier")
+    yield Statement(
+        "battery_low", level, certainty, text, evidence, advice="charge or replace the battery; land earlier"
+    )
 
 
 def _sag(record: Record, series: Series, cells: int) -> Iterator[Statement]:
@@ -129,7 +131,7 @@ def margin_statements(record: Record) -> Iterator[Statement]:
     else:
         advice = "take weight off, or fit larger propellers, motors or a battery of more cells"
         yield Statement("low_margin", level, "seen", f"{text}: too heavy for its motors", evidence, advice=advice)
-    at_limit = (command >= NEAR_LIMIT).any(axis=1)
+    at_limit = np.asarray((command >= NEAR_LIMIT).any(axis=1))
     limited = float(at_limit[air].mean())
     level = level_of(limited, AT_LIMIT)
     if level is not None:

@@ -40,8 +40,10 @@ FAILSAFES = {
     "global_position_invalid": "the global position became invalid", "attitude_invalid": "the attitude became invalid",
     "angular_velocity_invalid": "the body rates became invalid", "local_altitude_invalid": "the height became invalid",
     "fd_motor_failure": "the failure detector reports a motor", "fd_esc_arming_failure": "an ESC did not arm",
-    "fd_critical_failure": "the failure detector reports loss of attitude", "position_accuracy_low": "the position is inaccurate",
-    "fd_imbalanced_prop": "the failure detector reports an imbalanced propeller", "wind_limit_exceeded": "too much wind",
+    "fd_critical_failure": "the failure detector reports loss of attitude",
+    "position_accuracy_low": "the position is inaccurate",
+    "fd_imbalanced_prop": "the failure detector reports an imbalanced propeller",
+    "wind_limit_exceeded": "too much wind",
 }  # fmt: skip
 
 Columns = Mapping[str, NDArray[Any]]
@@ -58,7 +60,8 @@ class _Topics:
         return sorted(multi for topic, multi in self._data if topic == name)
 
     def columns(self, name: str, instance: int = 0) -> Columns:
-        return self._data.get((name, instance), {})
+        found: Columns = self._data.get((name, instance), {})
+        return found
 
     def series(self, name: str, field: str, instance: int = 0) -> Series | None:
         """One field; None where it was not logged."""

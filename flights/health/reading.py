@@ -15,6 +15,7 @@ from flights.health.estimator import gps_statements, rejection_statements, repor
 from flights.health.motion import (
     ends_in_air,
     impact_statement,
+    leaning_statement,
     oscillation_statements,
     raw_vibration,
     upset_statement,
@@ -31,12 +32,13 @@ SAME_TIME = 1.0  # s within which a cause comes before what it makes happen
 SHOWN = 3  # further things in a sentence
 # what makes other things happen comes before what follows from it, where both begin at once
 CAUSES = ("esc_failure", "stopped_rotor", "weak_rotor", "reported_fd_motor", "battery_sag", "battery_low", "gps_lost",
-          "oscillation", "vibration", "clipping", "impact", "rejects_", "saturation", "lost_control", "reported_")  # fmt: skip
+          "oscillation", "vibration", "clipping", "impact", "rejects_", "saturation", "lost_control",
+          "reported_")  # fmt: skip
 READERS = {"PX4 ULog": px4.read, "ArduPilot DataFlash log": ardupilot.read}
 
 
 def read_health(log: Log) -> Health:
-    """The answer about a log that was read; of autopilots' logs its file is read again, for what they say of themselves."""
+    """The answer about a log; an autopilot's file is read again, for what it says of itself."""
     reader = READERS.get(log.provenance.format)
     autopilot = AutopilotSeries()
     if reader is not None:
@@ -85,7 +87,8 @@ def _statements(record: Record) -> list[Statement]:
         *gps_statements(calm),
         *reported_statements(record),
     ]
-    found += [s for s in (stopped, upset_statement(record), blow, raw_vibration(calm), ends_in_air(record)) if s]
+    found += [s for s in (stopped, upset_statement(record), blow, raw_vibration(calm)) if s]
+    found += [s for s in (leaning_statement(record), ends_in_air(record)) if s]
     if stopped is not None:  # the same rotor's imbalance and limit are this
         found = [s for s in found if s is stopped or s.name not in ("weak_rotor", "saturation", "imbalance")]
     return found
@@ -124,7 +127,10 @@ def _by_level(statements: Sequence[Statement]) -> list[Statement]:
 
 def _sentences(record: Record, statements: Sequence[Statement], defects: Sequence[Statement]) -> tuple[str, str]:
     if not record.flights:
-        return ("The vehicle did not fly in this log.", "So nothing can be told about its rotors, battery under load or control.")
+        return (
+            "The vehicle did not fly in this log.",
+            "So nothing can be told about its rotors, battery under load or control.",
+        )
     flown = f"{record.in_air:.0f} s in the air"
     if not defects:
         return (f"Nothing in this log departs from healthy flights in {flown}.", _rest(record, statements))
@@ -151,10 +157,16 @@ def _certainly(statement: Statement) -> str:
 
 def _rest(record: Record, statements: Sequence[Statement]) -> str:
     """The second sentence: what is as in healthy logs, and what cannot be told."""
-    healthy = [s.text for s in statements if s.level == "note" and s.name in ("balance", "margin", "battery", "vibration_level")]
+    healthy = [
+        s.text
+        for s in statements
+        if s.level == "note" and s.name in ("balance", "margin", "battery", "vibration_level")
+    ]
     notes = [s.text for s in statements if s.level == "note" and s.name in ("no_gps_fix", "ends_in_air")]
     unknown = _unknown(record)
-    parts = ([f"As in healthy logs: {'; '.join(healthy)}"] if healthy else []) + ([f"noted: {'; '.join(notes)}"] if notes else [])
+    parts = ([f"As in healthy logs: {'; '.join(healthy)}"] if healthy else []) + (
+        [f"noted: {'; '.join(notes)}"] if notes else []
+    )
     if unknown:
         parts.append(f"not told by this log: {', '.join(unknown)}")
     text = "; ".join(parts) or "nothing else departs from healthy logs"
@@ -164,7 +176,8 @@ def _rest(record: Record, statements: Sequence[Statement]) -> str:
 def _unknown(record: Record) -> tuple[str, ...]:
     missing = []
     if record.commands() is None:
-        missing.append("balance and margin of the rotors (no motor outputs)")
+        balance = "" if record.values("rotor_speed") is not None else "balance and "
+        missing.append(f"{balance}margin of the rotors (no motor outputs)")
     if record.values("battery_voltage") is None and record.autopilot.pack_voltage is None:
         missing.append("the battery (no voltage)")
     if not record.autopilot.vibration and record.values("specific_force") is None:
@@ -184,5 +197,7 @@ def _events(record: Record, statements: Sequence[Statement]) -> tuple[HealthEven
             found.append(HealthEvent(event.time, "message", event.text, "logged message"))
     found += [HealthEvent(s.start, s.name, _short(s), s.evidence.channel) for s in statements if s.level != "note"]
     found += [HealthEvent(s.start, s.name, s.text, s.evidence.channel) for s in statements if s.name.endswith("_reset")]
-    unique = {(round(e.time, 2), e.text): HealthEvent(round(e.time, 3), e.name, cleaned(e.text), e.source) for e in found}
+    unique = {
+        (round(e.time, 2), e.text): HealthEvent(round(e.time, 3), e.name, cleaned(e.text), e.source) for e in found
+    }
     return tuple(sorted(unique.values(), key=lambda e: e.time))

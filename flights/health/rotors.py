@@ -13,7 +13,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
-from flights.health.answer import Evidence, Statement
+from flights.health.answer import Evidence, Level, Statement
 from flights.health.record import Record, spans
 from flights.health.thresholds import (
     ATTITUDE_ERROR,
@@ -65,8 +65,8 @@ def tilt(attitude: Floats) -> Floats:
 
 
 def balance(record: Record, start: float = 0.0, end: float = np.inf) -> Balance | None:
-    """The balance within a span of time, None without enough hover or commands."""
-    found = record.commands()
+    """The balance within a span of time, by commands or else by measured speeds; None without enough hover."""
+    found = record.commands() or record.values("rotor_speed")
     if found is None:
         return None
     time, command, source = found
@@ -100,13 +100,13 @@ def balance_statements(record: Record) -> Iterator[Statement]:
 
 
 def _evidence(found: Balance, value: float) -> Evidence:
-    channel = f"{found.source}, command over the mean less 1"
+    channel = f"{found.source}, rotor over the mean less 1"
     return Evidence(found.start, found.end, channel, value, "1", IMBALANCE.warning)
 
 
 def _pattern(record: Record, found: Balance, largest: float) -> Statement:
     """The statement about a pattern that lasts the whole flight."""
-    level = "fault" if largest > IMBALANCE.fault else "warning"
+    level: Level = "fault" if largest > IMBALANCE.fault else "warning"
     rotor = int(np.abs(found.relative).argmax())
     name, evidence = record.motor_name(rotor), _evidence(found, largest)
     shares = ", ".join(f"{100 * value:+.0f} %" for value in found.relative)
@@ -141,8 +141,8 @@ def _pattern(record: Record, found: Balance, largest: float) -> Statement:
     )  # fmt: skip
     if is_corner:
         text = (
-            f"the {side} carries more in hover ({shares}): the centre of mass lies towards {record.motor_name(loaded)}, "
-            "or that rotor is weak; hover alone does not decide"
+            f"the {side} carries more in hover ({shares}): the centre of mass lies towards "
+            f"{record.motor_name(loaded)}, or that rotor is weak; hover alone does not decide"
         )
         advice = f"exchange the propellers of {record.motor_name(loaded)} and its opposite, and fly again"
         return Statement("weak_rotor_or_centre_of_mass", level, "cannot tell", text, evidence, loaded, advice)
@@ -182,7 +182,7 @@ def _changed(record: Record, whole: Balance) -> Statement | None:
     )
     evidence = Evidence(at, whole.end, f"{source}, step of the command over the mean", float(step[rotor]), "1",
                         STEP_OF_BALANCE)  # fmt: skip
-    level = "fault" if step[rotor] > IMBALANCE.warning else "warning"
+    level: Level = "fault" if step[rotor] > IMBALANCE.warning else "warning"
     advice = f"exchange the propeller of {record.motor_name(rotor)}, then look at its motor, ESC and their connectors"
     return Statement("weak_rotor", level, "likely", text, evidence, rotor, advice)
 
@@ -261,5 +261,7 @@ def _falls_towards(record: Record, rotor: int, start: float, end: float) -> bool
     time, rate, _ = found
     rows = (time >= start - 0.3) & (time <= end)
     x, y, _ = record.layout.position[rotor]
-    towards = rate[rows, 1] * np.sign(x) - rate[rows, 0] * np.sign(y)  # FLU: pitch rate lowers the front, roll the right
+    towards = rate[rows, 1] * np.sign(x) - rate[rows, 0] * np.sign(
+        y
+    )  # FLU: pitch rate lowers the front, roll the right
     return bool(len(towards) and np.nanmean(towards) > 0.3)

@@ -23,7 +23,7 @@ SINGLE_ROTOR = 0.6  # share of a lone rotor's pattern that the yaw pattern must 
 
 # Actuators: share of the range; PX4's and ArduPilot's mixers give up yaw, then attitude, at its end
 NEAR_LIMIT = 0.98
-AT_LIMIT = Limit(0.05, 0.25)  # share of the time in the air with a rotor at its upper limit [study]
+AT_LIMIT = Limit(0.10, 0.25)  # share of the time in the air with a rotor at its upper limit [study]
 HOVER_SHARE = Limit(0.80, 0.90)  # of the range in hover; PX4 allows MPC_THR_HOVER up to 0.8
 
 # Power, V a cell under load: PX4's BAT_V_EMPTY 3.6 (3.5 before 1.12), and where cells are damaged
@@ -56,3 +56,7 @@ UPSET = 1.05  # rad of tilt that no setpoint asks for
 IMPACT_FORCE = 35.0  # m/s^2 of specific force in the air [study]
 IMPACT_RATE = 6.0  # rad/s of change within IMPACT_WINDOW that no setpoint asks for [study]
 IMPACT_WINDOW = 0.12  # s
+LEANING = (
+    5.0  # m/s^2 across the body for LEANING_FOR: in flight only drag is there, at rest half of gravity at 30 degrees
+)
+LEANING_FOR = 1.0  # s
