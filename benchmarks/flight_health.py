@@ -10,8 +10,8 @@ from typing import Any
 
 from benchmarks.measurement import ROOT, Page, keep, kept_results, options_of, paragraph_of
 from fixtures.default_rate_flight import record
-from fixtures.health_cases import KINDS, HealthCase, health_case
-from flights.health import Health, read_health
+from fixtures.health_cases import KINDS, health_case, is_right
+from flights.health import read_health
 from flights.parallel import parallel_map
 from flights.reading import read_log
 
@@ -63,16 +63,6 @@ def _judged(case: tuple[str, int]) -> dict[str, Any]:
         "kind": kind, "seed": seed, "name": planted.kind, "vehicle": planted.flight.vehicle, "first": health.first,
         "right": is_right(planted, health), "defects": [s.name for s in health.defects],
     }  # fmt: skip
-
-
-def is_right(planted: HealthCase, health: Health) -> bool:
-    """Whether the statement that comes first is one of those that are right, about the right rotor."""
-    if not planted.accepted:
-        return not health.defects
-    first = next((s for s in health.defects if s.name == health.first), None)
-    if first is None or first.name not in planted.accepted:
-        return False
-    return planted.rotor is None or first.rotor == planted.rotor
 
 
 def _body(results: Sequence[dict[str, Any]]) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from rich.text import Text
 
 from alula.cli.console import Console
 
@@ -27,9 +28,8 @@ def print_health(health: Health, console: Console, *, everything: bool, muted: b
         console.print(f"do: {advice}", highlight=False, markup=False)
     for statement in health.statements:
         if everything or statement.level != "note":
-            colour = COLOURS[statement.level]
-            console.print(f"[{colour}]{statement.level}[/], {statement.certainty}: ", end="", highlight=False)
-            console.print(f"{statement.text} ({statement.evidence})", highlight=False, markup=False)
+            shown = f", {statement.certainty}: {statement.text} ({statement.evidence})"
+            console.print(Text.assemble((statement.level, COLOURS[statement.level]), shown), highlight=False)
     events = health.events if everything else health.events[:SHOWN] if health.first else ()
     for event in events:
         console.print(f"  {event.time:8.2f} s  {event.text}", style="dim", highlight=False, markup=False)

@@ -14,6 +14,9 @@ from alula.cli.progress import counting_bar
 from dynamics.errors import DataError, RequestError
 from dynamics.version import VERSION_KEY, __version__
 
+# names of logs that no table or picture has: such a file that is no log is a line with an error
+LOG_SUFFIXES = (".ulg", ".ulge", ".bin", ".tlog", ".mcap", ".bag", ".db3", ".bbl")
+
 
 def scan(
     folder: Annotated[Path, typer.Argument(help="Folder of logs of any format.", metavar="FOLDER")],
@@ -32,7 +35,9 @@ def scan(
         from flights.parallel import parallel_map
     if not folder.is_dir():
         raise RequestError(f"{folder} is no folder. Give a folder of logs, or one log to `alula inspect`.")
-    logs = [str(path) for path in folder_content(folder).logs]
+    content = folder_content(folder)
+    named = [path for path in content.others if path.name.removesuffix(".gz").endswith(LOG_SUFFIXES)]
+    logs = [str(path) for path in sorted((*content.logs, *named))]
     if not logs:
         raise RequestError(f"there is no log in {folder}. Give a folder of ULog, DataFlash, MCAP, CSV or other logs.")
     errors = 0

@@ -47,7 +47,6 @@ LEFT_OUT = (
     "roll_body",
     "pitch_body",
     "yaw_",
-    "thrust_body",
     "ref_",
     "dist_",
     "heading",
