@@ -34,7 +34,7 @@ def flight_health(words: Sequence[str]) -> Page:
     first has its name and, where one is meant, its rotor. Healthy flights (light wind, rotors up to 5 % apart, mass up
     to 10 % off) count every fault or warning as a false statement. No flight was looked at before the limits stood.
     """
-    parser = options_of(flight_health.__doc__, jobs=1, resumes="flight_health", seeds=4, healthy=100)
+    parser = options_of(flight_health.__doc__, jobs=1, resumes="flight_health", seeds=2, healthy=30)
     options = parser.parse_args(words)
     wanted = _wanted(options)
     done = {(result["kind"], result["seed"]) for result in kept_results(options.kept)}
@@ -47,7 +47,8 @@ def flight_health(words: Sequence[str]) -> Page:
 
 def _wanted(options: argparse.Namespace) -> list[tuple[str, int]]:
     counts = {kind: options.healthy if kind == "healthy" else options.seeds for kind in KINDS}
-    cases = [(kind, FIRST_SEED + seed) for kind, count in counts.items() for seed in range(count)]
+    rounds = range(max(counts.values()))
+    cases = [(kind, FIRST_SEED + place) for place in rounds for kind, count in counts.items() if place < count]
     return cases[: options.cases] if options.cases else cases
 
 
