@@ -68,15 +68,16 @@ def _smoothed(time: Floats, values: Floats) -> Floats:
 
 def _low(record: Record, per_cell: Series, cells: int) -> Iterator[Statement]:
     lowest = float(per_cell.values.min())
-    below = spans(per_cell.time, per_cell.values < CELL.warning, SMOOTHED)
+    limit = CELL.warning if record.autopilot.cells else CELL.fault
+    below = spans(per_cell.time, per_cell.values < limit, SMOOTHED)
     shown = f"{lowest:.2f} V a cell ({cells} cells) under load"
     if not below:
-        evidence = Evidence(record.start, record.end, f"{per_cell.channel} a cell", lowest, "V", CELL.warning)
+        evidence = Evidence(record.start, record.end, f"{per_cell.channel} a cell", lowest, "V", limit)
         yield Statement("battery", "note", "seen", f"the battery keeps at least {shown}", evidence)
         return
-    level: Level = "fault" if lowest < CELL.fault else "warning"
+    level: Level = "fault" if lowest < CELL.fault and record.autopilot.cells else "warning"
     end = below[-1][1]
-    evidence = Evidence(below[0][0], end, f"{per_cell.channel} a cell", lowest, "V", CELL.warning)
+    evidence = Evidence(below[0][0], end, f"{per_cell.channel} a cell", lowest, "V", limit)
     certainty: Certainty = "seen" if record.autopilot.cells else "likely"
     text = f"the battery falls to {shown} from {below[0][0]:.1f} s on: empty, too small or too old for this load"
     yield Statement(
