@@ -26,12 +26,10 @@ NEAR_LIMIT = 0.98
 AT_LIMIT = Limit(0.10, 0.25)  # share of the time in the air with a rotor at its upper limit [study]
 HOVER_SHARE = Limit(0.80, 0.90)  # of the range in hover; PX4 allows MPC_THR_HOVER up to 0.8
 
-# Power, V a cell under load: PX4's BAT_V_EMPTY 3.6 (3.5 before 1.12), and where cells are damaged; where the log does not
-# state how many cells there are, the second alone: healthy single cells go below the first
+# Power, V a cell under load: PX4's BAT_V_EMPTY 3.6 (3.5 before 1.12), and where cells are damaged; where the log does
+# not state how many cells there are, the second alone: healthy single cells go below the first
 CELL = Limit(3.5, 3.2)
-SAG = Limit(
-    0.20, 0.30
-)  # of the voltage at rest, within 3 s of the load; single cells of healthy Crazyflies 0.19 [study]
+SAG = Limit(0.20, 0.30)  # of the voltage at rest, within 3 s of the load; healthy Crazyflies reach 0.19 [study]
 PLAUSIBLE_CELL = 2.0  # V; less is no battery that a vehicle flies with
 
 # Rate loops: amplitude of a narrow line above 2 Hz, rad/s [study]
