@@ -28,7 +28,7 @@ REAL = (  # logs of real vehicles and of real PX4 in its own simulation, and wha
 
 
 def flight_health(words: Sequence[str]) -> Page:
-    """What broke first, by logs at PX4's default rates.
+    """The first failure of flights, by logs at PX4's default rates.
 
     Mock flights with one failure each, recorded at PX4's default rates: a cause is right where the statement that comes
     first has its name and, where one is meant, its rotor. Healthy flights (light wind, rotors up to 5 % apart, mass up
@@ -36,16 +36,16 @@ def flight_health(words: Sequence[str]) -> Page:
     """
     parser = options_of(flight_health.__doc__, jobs=1, resumes="flight_health", seeds=2, healthy=30)
     options = parser.parse_args(words)
-    wanted = _wanted(options)
+    planned_flights = _planned(options)
     done = {(result["kind"], result["seed"]) for result in kept_results(options.kept)}
-    missing = [case for case in wanted if case not in done]
+    missing = [case for case in planned_flights if case not in done]
     for _, result in parallel_map(_judged, missing, jobs=options.jobs):
         keep(options.kept, result, line=f"{result['kind']} {result['seed']}: {result['first'] or 'nothing'}")
-    results = [r for r in kept_results(options.kept) if (r["kind"], r["seed"]) in set(wanted)]
+    results = [r for r in kept_results(options.kept) if (r["kind"], r["seed"]) in set(planned_flights)]
     return Page("flight_health", "Health of flights at default logging rates", _body(results), trial=options.quick)
 
 
-def _wanted(options: argparse.Namespace) -> list[tuple[str, int]]:
+def _planned(options: argparse.Namespace) -> list[tuple[str, int]]:
     counts = {kind: options.healthy if kind == "healthy" else options.seeds for kind in KINDS}
     rounds = range(max(counts.values()))
     cases = [(kind, FIRST_SEED + place) for place in rounds for kind, count in counts.items() if place < count]

@@ -141,7 +141,7 @@ def inspect(
 
 
 def assess_health(log: Log | str | Path, *, mapping: str | Path | None = None, system: int | None = None) -> Health:
-    """What broke in a flight, by what logs at an autopilot's default rates have: who gave up first, and what followed.
+    """The health of a flight by what logs at default rates have: who gave up first, and what followed.
 
     log: a file, or what `alula.read_log` returned; ULog and DataFlash also tell what the autopilot says of itself.
     mapping: column mapping (TOML) for a CSV file of another tool.

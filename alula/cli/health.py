@@ -1,4 +1,4 @@
-"""What broke in a flight, as `alula inspect` prints it: two sentences, what to do, statements, events."""
+"""The health of a flight as `alula inspect` prints it: two sentences, what to do, statements, events."""
 
 from __future__ import annotations
 

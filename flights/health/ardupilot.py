@@ -114,12 +114,12 @@ def _flags(rows: Messages | None, start: float) -> dict[str, Series]:
     if rows is None:
         return {}
     time, systems, codes = _time(rows, start), rows.integers("Subsys"), rows.integers("ECode")
-    found = {}
+    by_subsystem = {}
     for number, name in SUBSYSTEMS.items():
         own = systems == number
         if own.any():
-            found[name] = Series(time[own], (codes[own] != 0).astype(float), f"ERR.Subsys {number}")
-    return found
+            by_subsystem[name] = Series(time[own], (codes[own] != 0).astype(float), f"ERR.Subsys {number}")
+    return by_subsystem
 
 
 def _events(messages: Mapping[str, Messages], start: float) -> Iterator[HealthEvent]:
@@ -146,10 +146,8 @@ def _events(messages: Mapping[str, Messages], start: float) -> Iterator[HealthEv
 
 def _landed(events: tuple[HealthEvent, ...]) -> Series | None:
     """The land detector by its events, in the order of time."""
-    changes = sorted(
-        (e.time, float(e.name != "takeoff")) for e in events if e.name in ("landed", "takeoff", "disarmed")
-    )
-    if not any(value == 0.0 for _, value in changes):
+    steps = sorted((e.time, float(e.name != "takeoff")) for e in events if e.name in ("landed", "takeoff", "disarmed"))
+    if not any(value == 0.0 for _, value in steps):
         return None
-    time, values = np.array(changes).T
+    time, values = np.array(steps).T
     return Series(time, values, "EV")

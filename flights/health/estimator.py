@@ -83,9 +83,11 @@ def reset_statements(record: Record) -> Iterator[Statement]:
     times = times[record.airborne(times)]
     if not len(times):
         return
-    most = max(int(((times >= t) & (times <= t + SWITCH_WINDOW)).sum()) for t in times)
-    level = "fault" if most >= SWITCHES.fault else "warning"
-    text = f"the estimator changed its instance {len(times)} times in flight, {most} times within {SWITCH_WINDOW:.0f} s"
+    densest = max(int(((times >= t) & (times <= t + SWITCH_WINDOW)).sum()) for t in times)
+    level = "fault" if densest >= SWITCHES.fault else "warning"
+    text = (
+        f"the estimator changed its instance {len(times)} times in flight, {densest} times within {SWITCH_WINDOW:.0f} s"
+    )
     begins, ends, count = float(times[0]), float(times[-1]), float(len(times))
     evidence = Evidence(begins, ends, instance.channel, count, "changes", SWITCHES.warning)
     advice = (
@@ -132,7 +134,7 @@ def gps_statements(record: Record) -> Iterator[Statement]:
 
 
 def reported_statements(record: Record) -> Iterator[Statement]:
-    """What the autopilot itself reported: failures of motors and ESCs, and failsafes in the air."""
+    """Failures of motors and ESCs and failsafes in the air, as the autopilot itself reported them."""
     for motor, series in record.autopilot.esc_failures.items():
         on = series.values != 0
         at = float(series.time[np.flatnonzero(on)[0]])

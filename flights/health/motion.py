@@ -26,7 +26,7 @@ from flights.health.thresholds import (
 )
 
 AXES = ("roll", "pitch", "yaw")
-LOWEST_LINE = 2.0  # Hz: slower is position and attitude control, or the pilot
+MIN_LINE = 2.0  # Hz: slower is position and attitude control, or the pilot
 WINDOW = 2.5  # s
 MIN_RATE = 15.0  # Hz of the gyro's stream, without which no line can be seen
 SUDDEN = 0.15  # s between a blow and the loss of control that it makes
@@ -35,10 +35,10 @@ FOLLOWS = 0.6  # of the rate's amplitude in the setpoint's: the setpoint swings 
 
 def oscillation_statements(record: Record) -> Iterator[Statement]:
     """A narrow line in the body rates of one axis."""
-    found = record.values("rate")
-    if found is None:
+    signal = record.values("rate")
+    if signal is None:
         return
-    time, rate, source = found
+    time, rate, source = signal
     period = float(np.median(np.diff(time)))
     if not period > 0 or 1 / period < MIN_RATE:
         return
@@ -55,18 +55,18 @@ def oscillation_statements(record: Record) -> Iterator[Statement]:
     level = level_of(amplitude, OSCILLATION)
     if level is None:
         return
-    asked = _setpoint_amplitude(record, axis, at, frequency)
+    commanded = _setpoint_amplitude(record, axis, at, frequency)
     shown = f"the {AXES[axis]} rate swings at {frequency:.1f} Hz with {amplitude:.1f} rad/s around {at:.1f} s"
     evidence = Evidence(at, at + WINDOW, f"{source}, {AXES[axis]} rate at {frequency:.1f} Hz", amplitude, "rad/s",
                         OSCILLATION.warning)  # fmt: skip
     gains = "MC_ROLLRATE" if axis == 0 else "MC_PITCHRATE" if axis == 1 else "MC_YAWRATE"
-    if asked is not None and asked > FOLLOWS * amplitude:
-        text = f"{shown}, and its setpoint with {asked:.1f} rad/s: the attitude loop or what commands it swings"
+    if commanded is not None and commanded > FOLLOWS * amplitude:
+        text = f"{shown}, and its setpoint with {commanded:.1f} rad/s: the attitude loop or what commands it swings"
         yield Statement("oscillation", level, "likely", text, evidence,
                         advice=f"lower {gains.removesuffix('RATE')}_P or the reference's pace")  # fmt: skip
         return
-    beside = "" if asked is None else f", its setpoint with {asked:.1f} rad/s alone"
-    text = f"{shown}{beside}: the rate loop is close to unstable, or something on the vehicle is loose"
+    addition = "" if commanded is None else f", its setpoint with {commanded:.1f} rad/s alone"
+    text = f"{shown}{addition}: the rate loop is close to unstable, or something on the vehicle is loose"
     advice = (
         f"lower {gains}_P and _D (ATC_RAT_* in ArduPilot) by a third; look for loose arms and a soft autopilot mount"
     )
@@ -104,7 +104,7 @@ def _lines(
         part = values[first : first + count]
         part = part - np.polyval(np.polyfit(even[:count] - even[0], part, 1), even[:count] - even[0])
         power = np.abs(np.fft.rfft(taper * part) / taper.sum()) ** 2 * 2  # of a sine: half its amplitude squared
-        fast = frequency >= LOWEST_LINE
+        fast = frequency >= MIN_LINE
         if fast.sum() < 4 or power[fast].sum() <= 0:
             continue
         peak = int(np.argmax(np.where(fast, power, 0.0)))
@@ -116,10 +116,10 @@ def _lines(
 
 def _setpoint_amplitude(record: Record, axis: int, at: float, frequency: float) -> float | None:
     """Amplitude of the rate setpoint at a frequency in the window that begins at a time; None where it is too slow."""
-    found = record.values("rate_setpoint")
-    if found is None:
+    signal = record.values("rate_setpoint")
+    if signal is None:
         return None
-    time, values, _ = found
+    time, values, _ = signal
     rows = (time >= at) & (time <= at + WINDOW) & np.isfinite(values[:, axis])
     if rows.sum() < 8 or 1 / float(np.median(np.diff(time))) < 2.2 * frequency:
         return None
@@ -164,10 +164,10 @@ def vibration_statements(record: Record) -> Iterator[Statement]:
 
 def raw_vibration(record: Record) -> Statement | None:
     """Scatter of the accelerometer's samples, for logs without the autopilot's own measure of vibration."""
-    found = record.values("specific_force")
-    if found is None or record.autopilot.vibration:
+    signal = record.values("specific_force")
+    if signal is None or record.autopilot.vibration:
         return None
-    time, force, source = found
+    time, force, source = signal
     rows = record.airborne(time, 1.0) & np.isfinite(force).all(axis=1)
     if rows.sum() < 50:
         return None
@@ -208,10 +208,10 @@ def upset_statement(record: Record) -> Statement | None:
 
 def leaning_statement(record: Record) -> Statement | None:
     """A vehicle that lies tilted on something with its rotors turning."""
-    found, attitude = record.values("specific_force"), record.values("attitude")
-    if found is None or attitude is None:
+    signal, attitude = record.values("specific_force"), record.values("attitude")
+    if signal is None or attitude is None:
         return None
-    time, force, source = found
+    time, force, source = signal
     width = max(1, round(0.5 / max(float(np.median(np.diff(time))), 1e-3)))
     if len(time) < 2 * width:
         return None
@@ -236,13 +236,13 @@ def leaning_statement(record: Record) -> Statement | None:
 
 def impacts(record: Record) -> tuple[tuple[float, str, float], ...]:
     """Time, channel and size of each blow in the air: a step of body rates or a peak of specific force."""
-    found: list[tuple[float, str, float]] = []
+    peaks: list[tuple[float, str, float]] = []
     rate, force = record.values("rate"), record.values("specific_force")
     if rate is not None:
         time, values, source = rate
         steps = np.linalg.norm(values[1:] - values[:-1], axis=1)
         near = (np.diff(time) < IMPACT_WINDOW) & (steps > IMPACT_RATE) & record.airborne(time[1:])
-        found += [(float(t), f"{source}, step of the rates", float(s))
+        peaks += [(float(t), f"{source}, step of the rates", float(s))
                   for t, s in zip(time[1:][near], steps[near], strict=True)]  # fmt: skip
     if force is not None:
         time, values, source = force
@@ -250,21 +250,21 @@ def impacts(record: Record) -> tuple[tuple[float, str, float], ...]:
         usual = size[record.airborne(time, 0.5)]
         limit = max(IMPACT_FORCE, float(np.nanpercentile(usual, 99)) * 1.5 if len(usual) else 0.0)
         rows = (size > limit) & record.airborne(time)
-        found += [(float(t), f"{source}, specific force", float(s))
+        peaks += [(float(t), f"{source}, specific force", float(s))
                   for t, s in zip(time[rows], size[rows], strict=True)]  # fmt: skip
-    return tuple(sorted(found))
+    return tuple(sorted(peaks))
 
 
 def impact_statement(record: Record) -> Statement | None:
     """The first blow in the air, and whether control was lost before or after it; a touch-down is a note."""
-    blows, lost = impacts(record), lost_control(record)
-    if not blows:
+    peaks, lost = impacts(record), lost_control(record)
+    if not peaks:
         return None
-    raised = [blow for blow in blows if record.clear_of_ground(np.array([blow[0]]))[0]]
-    followed = [blow for blow in blows if lost is not None and blow[0] >= lost[0] - SUDDEN]
-    chosen = min((blows_of[0] for blows_of in (raised, followed) if blows_of), default=None)
-    at, channel, size = chosen or blows[0]
-    group = [blow for blow in blows if at <= blow[0] <= at + 0.3]
+    raised = [blow for blow in peaks if record.clear_of_ground(np.array([blow[0]]))[0]]
+    followed = [blow for blow in peaks if lost is not None and blow[0] >= lost[0] - SUDDEN]
+    chosen = min((group[0] for group in (raised, followed) if group), default=None)
+    at, channel, size = chosen or peaks[0]
+    group = [blow for blow in peaks if at <= blow[0] <= at + 0.3]
     force = max((blow for blow in group if "force" in blow[1]), key=lambda blow: blow[2], default=None)
     turn = max((blow for blow in group if "rates" in blow[1]), key=lambda blow: blow[2], default=None)
     height = _height(record, at)
@@ -293,33 +293,38 @@ def impact_statement(record: Record) -> Statement | None:
 
 def _tilt_after(record: Record, at: float) -> float:
     """The largest tilt in the 2 s after a time, degrees; 0 where it is not logged."""
-    found = record.values("attitude")
-    if found is None:
+    signal = record.values("attitude")
+    if signal is None:
         return 0.0
-    rows = (found[0] >= at) & (found[0] <= at + 2.0)
-    return float(np.degrees(np.nanmax(tilt(found[1][rows]), initial=0.0)))
+    rows = (signal[0] >= at) & (signal[0] <= at + 2.0)
+    return float(np.degrees(np.nanmax(tilt(signal[1][rows]), initial=0.0)))
 
 
 def _height(record: Record, at: float) -> float | None:
-    found = record.values("position")
-    if found is None or not np.isfinite(found[1][:, 2]).any():
+    signal = record.values("position")
+    if signal is None or not np.isfinite(signal[1][:, 2]).any():
         return None
-    height = found[1][:, 2]
-    return float(np.interp(at, found[0], height) - np.nanmin(height))
+    height = signal[1][:, 2]
+    return float(np.interp(at, signal[0], height) - np.nanmin(height))
 
 
 def ends_in_air(record: Record) -> Statement | None:
     """A log whose last sample is in flight with the rotors turning."""
-    found = record.commands() or record.values("rotor_speed")
+    signal = record.commands() or record.values("rotor_speed")
     last = max((float(stream.time[-1]) for stream in record.log.streams), default=0.0)
-    if found is None or not record.flights or record.flights[-1][1] < last - 0.3 or not np.nanmean(found[1][-3:]) > 0.1:
+    if (
+        signal is None
+        or not record.flights
+        or record.flights[-1][1] < last - 0.3
+        or not np.nanmean(signal[1][-3:]) > 0.1
+    ):
         return None
-    evidence = Evidence(last, last, found[2], float(np.nanmean(found[1][-3:])), "1")
+    evidence = Evidence(last, last, signal[2], float(np.nanmean(signal[1][-3:])), "1")
     text = "the log ends in flight with the rotors turning: power was lost, the log was cut, or it was stopped"
     return Statement("ends_in_air", "note", "cannot tell", text, evidence)
 
 
 def series_of(record: Record, name: str, column: int) -> Series | None:
     """One column of a quantity."""
-    found = record.values(name)
-    return None if found is None else Series(found[0], found[1][:, column], found[2])
+    signal = record.values(name)
+    return None if signal is None else Series(signal[0], signal[1][:, column], signal[2])

@@ -51,10 +51,10 @@ def voltage(record: Record) -> Series | None:
     """The pack's voltage, as the autopilot logs it or as the flight has it."""
     own = record.autopilot.pack_voltage
     if own is None:
-        found = record.values("battery_voltage")
-        if found is None:
+        signal = record.values("battery_voltage")
+        if signal is None:
             return None
-        own = Series(found[0], found[1][:, 0], found[2])
+        own = Series(signal[0], signal[1][:, 0], signal[2])
     own = own.finite()
     return own if len(own.values) > 1 else None
 
@@ -114,10 +114,10 @@ def _sag(record: Record, series: Series, cells: int) -> Iterator[Statement]:
 
 def margin_statements(record: Record) -> Iterator[Statement]:
     """The share of the range that hover takes, and the time in which a rotor is at its limit."""
-    found = record.commands()
-    if found is None:
+    signal = record.commands()
+    if signal is None:
         return
-    time, command, source = found
+    time, command, source = signal
     air = record.airborne(time, 0.5) & np.isfinite(command).all(axis=1)
     if air.sum() < 10:
         return

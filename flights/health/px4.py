@@ -60,8 +60,8 @@ class _Topics:
         return sorted(multi for topic, multi in self._data if topic == name)
 
     def columns(self, name: str, instance: int = 0) -> Columns:
-        found: Columns = self._data.get((name, instance), {})
-        return found
+        columns: Columns = self._data.get((name, instance), {})
+        return columns
 
     def series(self, name: str, field: str, instance: int = 0) -> Series | None:
         """One field; None where it was not logged."""
@@ -119,18 +119,18 @@ def _uses_gps(topics: _Topics, used: int) -> bool | None:
 
 
 def _each(topics: _Topics, name: str, field: str) -> tuple[Series, ...]:
-    found = (topics.series(name, field, instance) for instance in topics.instances(name))
-    return tuple(series for series in found if series is not None)
+    instances = (topics.series(name, field, instance) for instance in topics.instances(name))
+    return tuple(series for series in instances if series is not None)
 
 
 def _clipping(topics: _Topics) -> Iterator[Series]:
     """Sum over the axes of the count of clipped samples, by accelerometer."""
     for instance in topics.instances("vehicle_imu_status"):
         axes = [topics.series("vehicle_imu_status", f"accel_clipping[{axis}]", instance) for axis in range(3)]
-        known = [axis for axis in axes if axis is not None]
-        if known:
-            total = np.sum([axis.values for axis in known], axis=0)
-            yield Series(known[0].time, total, known[0].channel.removesuffix("[0]"))
+        logged = [axis for axis in axes if axis is not None]
+        if logged:
+            total = np.sum([axis.values for axis in logged], axis=0)
+            yield Series(logged[0].time, total, logged[0].channel.removesuffix("[0]"))
 
 
 def _rejected(topics: _Topics, used: int) -> dict[str, Series]:
@@ -146,7 +146,7 @@ def _rejected(topics: _Topics, used: int) -> dict[str, Series]:
 
 def _jumps(topics: _Topics) -> dict[str, Series]:
     """Sizes of the estimator's resets, m, m/s and rad, at their times."""
-    found = {}
+    by_name = {}
     for name, counter, deltas in (
         ("position", "xy_reset_counter", ("delta_xy[0]", "delta_xy[1]")),
         ("height", "z_reset_counter", ("delta_z",)),
@@ -154,70 +154,70 @@ def _jumps(topics: _Topics) -> dict[str, Series]:
     ):
         count = topics.series("vehicle_local_position", counter)
         parts = [topics.series("vehicle_local_position", delta) for delta in deltas]
-        known = [part.values for part in parts if part is not None]
-        if count is None or len(known) != len(deltas):
+        logged = [part.values for part in parts if part is not None]
+        if count is None or len(logged) != len(deltas):
             continue
         rows = np.flatnonzero(np.diff(count.values) != 0) + 1
-        size = np.linalg.norm(np.stack(known, axis=1), axis=1)
-        found[name] = Series(count.time[rows], size[rows], f"vehicle_local_position.{counter}")
-    return found
+        size = np.linalg.norm(np.stack(logged, axis=1), axis=1)
+        by_name[name] = Series(count.time[rows], size[rows], f"vehicle_local_position.{counter}")
+    return by_name
 
 
 def _flags(topics: _Topics) -> dict[str, Series]:
-    """What the failure detector and the failsafe report, by the name of the field."""
-    found: dict[str, Series] = {}
+    """Reports of the failure detector and the failsafe, by the name of the field."""
+    by_name: dict[str, Series] = {}
     for topic in ("failsafe_flags", "vehicle_status_flags"):
         for field in FAILSAFES:
-            if field not in found and (series := topics.series(topic, field)) is not None:
-                found[field] = series
+            if field not in by_name and (series := topics.series(topic, field)) is not None:
+                by_name[field] = series
     for field in FAILURES:
         if (series := topics.series("failure_detector_status", field)) is not None:
-            found[field] = series
+            by_name[field] = series
     old = topics.series("vehicle_status", "failure_detector_status")
-    if old is not None and not any(name in found for name in FAILURES):
+    if old is not None and not any(name in by_name for name in FAILURES):
         bits = old.values.astype(np.int64)
         for bit, field in enumerate(FAILURES):
-            found[field] = Series(old.time, ((bits >> bit) & 1).astype(float), old.channel)
+            by_name[field] = Series(old.time, ((bits >> bit) & 1).astype(float), old.channel)
     if (failsafe := topics.series("vehicle_status", "failsafe")) is not None:
-        found["failsafe"] = failsafe
-    return found
+        by_name["failsafe"] = failsafe
+    return by_name
 
 
 def _esc_failures(topics: _Topics) -> dict[int, Series]:
-    found = {}
+    by_motor = {}
     for esc in range(12):
         series = topics.series("esc_status", f"esc[{esc}].failures")
         if series is not None and (series.values != 0).any():
             function = topics.series("esc_status", f"esc[{esc}].actuator_function")
             motor = esc + 1 if function is None else int(np.max(function.values)) - 100
-            found[motor] = series
-    return found
+            by_motor[motor] = series
+    return by_motor
 
 
 def _events(topics: _Topics) -> Iterator[HealthEvent]:
     """Changes of mode, arming, landing, failsafe and failure detector, the first value excepted."""
-    for time, value, source in _changes(topics.series("vehicle_status", "nav_state")):
+    for time, value, source in _steps(topics.series("vehicle_status", "nav_state")):
         yield HealthEvent(time, "mode", f"mode {px4_mode(int(value))}", source)
     armed = topics.series("actuator_armed", "armed")
     if armed is None and (state := topics.series("vehicle_status", "arming_state")) is not None:
         armed = Series(state.time, (state.values == 2).astype(float), state.channel)
-    for time, value, source in _changes(armed):
+    for time, value, source in _steps(armed):
         yield HealthEvent(time, "armed" if value else "disarmed", "armed" if value else "disarmed", source)
-    for time, value, source in _changes(topics.series("vehicle_land_detected", "landed")):
+    for time, value, source in _steps(topics.series("vehicle_land_detected", "landed")):
         yield HealthEvent(time, "landed" if value else "takeoff", "landed" if value else "took off", source)
     for field, text in (("manual_lockdown", "kill switch"), ("kill", "kill switch"), ("lockdown", "lockdown"),
                         ("termination", "flight termination"), ("force_failsafe", "flight termination")):  # fmt: skip
-        for time, value, source in _changes(topics.series("actuator_armed", field)):
+        for time, value, source in _steps(topics.series("actuator_armed", field)):
             yield HealthEvent(time, field, f"{text} {'engaged' if value else 'released'}", source)
     for field, series in _flags(topics).items():
         text = f"the failure detector reports {FAILURES[field]}" if field in FAILURES else FAILSAFES.get(field, field)
-        for time, value, source in _changes(series):
+        for time, value, source in _steps(series):
             if value:
                 shown = "failsafe begins" if field == "failsafe" else text
                 yield HealthEvent(time, field, shown, source)
 
 
-def _changes(series: Series | None) -> Iterator[tuple[float, float, str]]:
+def _steps(series: Series | None) -> Iterator[tuple[float, float, str]]:
     """Time, new value and channel of each change."""
     if series is None:
         return

@@ -76,7 +76,7 @@ def _statements(record: Record) -> list[Statement]:
     is_blow = blow is not None and blow.level != "note"
     calm = record.until(min(lost[0] - 0.5 if lost else np.inf, blow.start - 0.1 if blow and is_blow else np.inf))
     stopped = stopped_statement(record)
-    found = [
+    statements = [
         *balance_statements(calm),
         *margin_statements(calm),
         *battery_statements(calm),
@@ -87,11 +87,11 @@ def _statements(record: Record) -> list[Statement]:
         *gps_statements(calm),
         *reported_statements(record),
     ]
-    found += [s for s in (stopped, upset_statement(record), blow, raw_vibration(calm)) if s]
-    found += [s for s in (leaning_statement(record), ends_in_air(record)) if s]
+    statements += [s for s in (stopped, upset_statement(record), blow, raw_vibration(calm)) if s]
+    statements += [s for s in (leaning_statement(record), ends_in_air(record)) if s]
     if stopped is not None:  # the same rotor's imbalance and limit are this
-        found = [s for s in found if s is stopped or s.name not in ("weak_rotor", "saturation", "imbalance")]
-    return found
+        statements = [s for s in statements if s is stopped or s.name not in ("weak_rotor", "saturation", "imbalance")]
+    return statements
 
 
 def _rank(statement: Statement) -> int:
@@ -188,16 +188,18 @@ def _unknown(record: Record) -> tuple[str, ...]:
 
 
 def _events(record: Record, statements: Sequence[Statement]) -> tuple[HealthEvent, ...]:
-    found = [*record.autopilot.events]
-    has_modes = any(event.name == "mode" for event in found)
+    events = [*record.autopilot.events]
+    has_modes = any(event.name == "mode" for event in events)
     for event in record.log.events:
         if event.kind == "mode" and not has_modes:
-            found.append(HealthEvent(event.time, "mode", f"mode {event.text}", record.log.provenance.format))
+            events.append(HealthEvent(event.time, "mode", f"mode {event.text}", record.log.provenance.format))
         elif event.kind == "message" and not event.text.startswith(("INFO: [logger]", "INFO: [tone_alarm]")):
-            found.append(HealthEvent(event.time, "message", event.text, "logged message"))
-    found += [HealthEvent(s.start, s.name, _short(s), s.evidence.channel) for s in statements if s.level != "note"]
-    found += [HealthEvent(s.start, s.name, s.text, s.evidence.channel) for s in statements if s.name.endswith("_reset")]
+            events.append(HealthEvent(event.time, "message", event.text, "logged message"))
+    events += [HealthEvent(s.start, s.name, _short(s), s.evidence.channel) for s in statements if s.level != "note"]
+    events += [
+        HealthEvent(s.start, s.name, s.text, s.evidence.channel) for s in statements if s.name.endswith("_reset")
+    ]
     unique = {
-        (round(e.time, 2), e.text): HealthEvent(round(e.time, 3), e.name, cleaned(e.text), e.source) for e in found
+        (round(e.time, 2), e.text): HealthEvent(round(e.time, 3), e.name, cleaned(e.text), e.source) for e in events
     }
     return tuple(sorted(unique.values(), key=lambda e: e.time))

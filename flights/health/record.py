@@ -40,7 +40,7 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class AutopilotSeries:
-    """What an autopilot logs of itself beside the flight, every channel where it is logged.
+    """Channels that an autopilot logs of itself beside the flight, each where it is logged.
 
     vibration: high-frequency acceleration, m/s^2, one for each accelerometer. vibration_of: "PX4" or "ArduPilot".
     clipping: samples at the accelerometer's limit since the start, one for each accelerometer.
@@ -117,24 +117,28 @@ class Record:
 
     def commands(self) -> tuple[Floats, Floats, str] | None:
         """Rotor commands that are more than a column of constants, else None."""
-        found = self.values("rotor_command")
-        if found is None or not np.isfinite(found[1]).any() or float(np.nanmax(found[1]) - np.nanmin(found[1])) < MOVES:
+        signal = self.values("rotor_command")
+        if (
+            signal is None
+            or not np.isfinite(signal[1]).any()
+            or float(np.nanmax(signal[1]) - np.nanmin(signal[1])) < MOVES
+        ):
             return None
-        return found
+        return signal
 
     def clear_of_ground(self, time: Floats) -> NDArray[np.bool_]:
         """(n,) which times are at a height where the ground carries nothing, as far as the log tells."""
-        found = self.values("position")
-        if found is None or not np.isfinite(found[1][:, 2]).any():
+        signal = self.values("position")
+        if signal is None or not np.isfinite(signal[1][:, 2]).any():
             return np.ones(len(time), dtype=bool)
-        height = found[1][:, 2] - np.nanmin(found[1][:, 2])
+        height = signal[1][:, 2] - np.nanmin(signal[1][:, 2])
         limit = min(NEAR_GROUND, 0.4 * float(np.nanmax(height)))
-        return np.asarray(np.interp(time, found[0], np.nan_to_num(height)) > limit)
+        return np.asarray(np.interp(time, signal[0], np.nan_to_num(height)) > limit)
 
     def until(self, end: float) -> Record:
         """The record with its times in the air cut at a time, s."""
-        kept = tuple((start, min(stop, end)) for start, stop in self.flights if start < end)
-        return replace(self, flights=kept)
+        flights = tuple((start, min(stop, end)) for start, stop in self.flights if start < end)
+        return replace(self, flights=flights)
 
     def motor_name(self, rotor: int) -> str:
         """The autopilot's number of a rotor's motor and its place."""
@@ -158,15 +162,15 @@ def build_record(log: Log, autopilot: AutopilotSeries) -> Record:
     return Record(log, autopilot, _times_in_air(log, autopilot.landed), layout)
 
 
-def _times_in_air(log: Log, said: Series | None) -> tuple[tuple[float, float], ...]:
+def _times_in_air(log: Log, reported: Series | None) -> tuple[tuple[float, float], ...]:
     """Spans between take-off and landing: by the land detector, or else by arming and height, or else the whole log."""
     end = max((float(stream.time[-1]) for stream in log.streams), default=0.0)
     landed, armed = log.stream("landed"), log.stream("armed")
     if landed is not None and len(landed.time):
         flying = landed.values[:, 0] == 0
         time = landed.time
-    elif said is not None and len(said.time):
-        flying, time = said.values == 0, said.time
+    elif reported is not None and len(reported.time):
+        flying, time = reported.values == 0, reported.time
     elif (position := log.stream("position")) is not None and len(position.time) > 1:
         height = position.values[:, 2]
         if not np.isfinite(height).any():
@@ -187,9 +191,9 @@ def _times_in_air(log: Log, said: Series | None) -> tuple[tuple[float, float], .
 
 def spans(time: Floats, flags: NDArray[np.bool_], shortest: float) -> list[tuple[float, float]]:
     """Start and end, s, of the runs of true flags that last so long, a lone sample counting to the next one."""
-    found = []
+    times = []
     for start, stop in runs(flags):
         last = float(time[min(stop, len(time) - 1)])
         if last - float(time[start]) >= shortest:
-            found.append((float(time[start]), last))
-    return found
+            times.append((float(time[start]), last))
+    return times

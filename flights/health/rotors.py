@@ -49,10 +49,10 @@ def hover_rows(record: Record, time: Floats) -> np.ndarray:
     """(n,) which times are quiet hover: level, slow and without turning."""
     rows = record.airborne(time, SETTLING) & record.clear_of_ground(time)
     for name, limit in (("attitude", HOVER_TILT), ("rate", HOVER_RATE), ("velocity", HOVER_SPEED)):
-        found = record.values(name)
-        if found is None:
+        signal = record.values(name)
+        if signal is None:
             continue
-        own, values, _ = found
+        own, values, _ = signal
         size = tilt(values) if name == "attitude" else np.linalg.norm(values, axis=1)
         rows &= np.interp(time, own, np.nan_to_num(size, nan=np.inf)) < limit
     return rows
@@ -66,10 +66,10 @@ def tilt(attitude: Floats) -> Floats:
 
 def balance(record: Record, start: float = 0.0, end: float = np.inf) -> Balance | None:
     """The balance within a span of time, by commands or else by measured speeds; None without enough hover."""
-    found = record.commands() or record.values("rotor_speed")
-    if found is None:
+    signal = record.commands() or record.values("rotor_speed")
+    if signal is None:
         return None
-    time, command, source = found
+    time, command, source = signal
     rows = hover_rows(record, time) & (time >= start) & (time <= end) & np.isfinite(command).all(axis=1)
     seconds = rows.sum() * float(np.median(np.diff(time)))
     if seconds < MIN_HOVER or command.shape[1] < 3:
@@ -83,39 +83,39 @@ def balance(record: Record, start: float = 0.0, end: float = np.inf) -> Balance 
 
 def balance_statements(record: Record) -> Iterator[Statement]:
     """Weak rotor, centre of mass, crooked motor; a change within the flight before a pattern that was always there."""
-    whole = balance(record)
-    if whole is None:
+    flown = balance(record)
+    if flown is None:
         return
-    changed = _changed(record, whole)
+    changed = _changed(record, flown)
     if changed is not None:
         yield changed
         return
-    largest = float(np.abs(whole.relative).max())
+    largest = float(np.abs(flown.relative).max())
     if largest < IMBALANCE.warning:
-        rotor = int(np.abs(whole.relative).argmax())
+        rotor = int(np.abs(flown.relative).argmax())
         text = f"rotors are balanced in hover within {100 * largest:.0f} %, {record.motor_name(rotor)} the farthest"
-        yield Statement("balance", "note", "seen", text, _evidence(whole, largest))
+        yield Statement("balance", "note", "seen", text, _evidence(flown, largest))
         return
-    yield _pattern(record, whole, largest)
+    yield _pattern(record, flown, largest)
 
 
-def _evidence(found: Balance, value: float) -> Evidence:
-    channel = f"{found.source}, rotor over the mean less 1"
-    return Evidence(found.start, found.end, channel, value, "1", IMBALANCE.warning)
+def _evidence(hovering: Balance, value: float) -> Evidence:
+    channel = f"{hovering.source}, rotor over the mean less 1"
+    return Evidence(hovering.start, hovering.end, channel, value, "1", IMBALANCE.warning)
 
 
-def _pattern(record: Record, found: Balance, largest: float) -> Statement:
-    """The statement about a pattern that lasts the whole flight."""
+def _pattern(record: Record, hovering: Balance, largest: float) -> Statement:
+    """The statement about a pattern that lasts the flown flight."""
     level: Level = "fault" if largest > IMBALANCE.fault else "warning"
-    rotor = int(np.abs(found.relative).argmax())
-    name, evidence = record.motor_name(rotor), _evidence(found, largest)
-    shares = ", ".join(f"{100 * value:+.0f} %" for value in found.relative)
-    if record.layout is None or len(found.relative) != 4:
+    rotor = int(np.abs(hovering.relative).argmax())
+    name, evidence = record.motor_name(rotor), _evidence(hovering, largest)
+    shares = ", ".join(f"{100 * value:+.0f} %" for value in hovering.relative)
+    if record.layout is None or len(hovering.relative) != 4:
         text = f"the rotors' commands in hover differ from their mean by {shares}: why, the log does not tell"
         return Statement("imbalance", level, "cannot tell", text, evidence, rotor, f"compare {name} with its peers")
     x, y, _ = np.array(record.layout.position).T
     spin = np.array(record.layout.spin, dtype=float)
-    corner = found.relative @ np.stack([np.sign(x), np.sign(y), spin], axis=1) / 4  # pitch, roll, yaw
+    corner = hovering.relative @ np.stack([np.sign(x), np.sign(y), spin], axis=1) / 4  # pitch, roll, yaw
     pitch, roll, yaw = corner.tolist()
     if abs(yaw) > 2.0 * max(abs(pitch), abs(roll)):
         pair = "counter-clockwise" if yaw * -1 > 0 else "clockwise"
@@ -150,16 +150,16 @@ def _pattern(record: Record, found: Balance, largest: float) -> Statement:
     return Statement("centre_of_mass", level, "likely", text, evidence, None, f"move the load away from the {side}")
 
 
-def _changed(record: Record, whole: Balance) -> Statement | None:
+def _changed(record: Record, flown: Balance) -> Statement | None:
     """A rotor whose command in hover rose within the flight, while its peers' did not."""
-    found = record.commands()
-    if found is None or whole.seconds < 3 * MIN_HOVER or len(whole.relative) != 4:
+    signal = record.commands()
+    if signal is None or flown.seconds < 3 * MIN_HOVER or len(flown.relative) != 4:
         return None
-    time, command, source = found
+    time, command, source = signal
     rows = hover_rows(record, time) & np.isfinite(command).all(axis=1)
     own, relative = time[rows], command[rows] / command[rows].mean(axis=1, keepdims=True) - 1
     size = len(own)
-    edge = max(3, int(MIN_HOVER * size / whole.seconds))
+    edge = max(3, int(MIN_HOVER * size / flown.seconds))
     sums = np.concatenate([np.zeros((1, 4)), np.cumsum(relative, axis=0)])
     cuts = np.arange(edge, size - edge)
     if not len(cuts):
@@ -180,7 +180,7 @@ def _changed(record: Record, whole: Balance) -> Statement | None:
         f"{record.motor_name(rotor)} needs {100 * step[rotor]:.0f} % more command from {at:.1f} s on, its peers do "
         "not: its propeller was damaged, or its motor or ESC became weak, in flight"
     )
-    evidence = Evidence(at, whole.end, f"{source}, step of the command over the mean", float(step[rotor]), "1",
+    evidence = Evidence(at, flown.end, f"{source}, step of the command over the mean", float(step[rotor]), "1",
                         STEP_OF_BALANCE)  # fmt: skip
     level: Level = "fault" if step[rotor] > IMBALANCE.warning else "warning"
     advice = f"exchange the propeller of {record.motor_name(rotor)}, then look at its motor, ESC and their connectors"
@@ -207,8 +207,8 @@ def lost_control(record: Record) -> tuple[float, float] | None:
     if setpoint is not None:
         rows = np.clip(np.searchsorted(setpoint[0], time, side="right") - 1, 0, None)
         away |= tilt_between(values, setpoint[1][rows]) > ATTITUDE_ERROR
-    found = spans(time, away & record.airborne(time), ATTITUDE_ERROR_FOR)
-    return found[0] if found else None
+    times = spans(time, away & record.airborne(time), ATTITUDE_ERROR_FOR)
+    return times[0] if times else None
 
 
 def tilt_between(a: Floats, b: Floats) -> Floats:
@@ -220,10 +220,10 @@ def tilt_between(a: Floats, b: Floats) -> Floats:
 
 def stopped_statement(record: Record) -> Statement | None:
     """A rotor at its limit against which the vehicle turns over: it thrusts no more."""
-    lost, found = lost_control(record), record.commands()
-    if lost is None or found is None or record.layout is None or len(record.layout.position) != found[1].shape[1]:
+    lost, signal = lost_control(record), record.commands()
+    if lost is None or signal is None or record.layout is None or len(record.layout.position) != signal[1].shape[1]:
         return None
-    time, command, source = found
+    time, command, source = signal
     hover = balance(record)
     usual = hover.mean if hover is not None else float(np.nanmedian(command[record.airborne(time)]))
     rows = (time >= lost[0] - 1.5) & (time <= lost[0] + 1.0)
@@ -255,10 +255,10 @@ def stopped_statement(record: Record) -> Statement | None:
 
 def _falls_towards(record: Record, rotor: int, start: float, end: float) -> bool:
     """Whether the body rates between two times turn the vehicle towards a rotor's place."""
-    found = record.values("rate")
-    if found is None or record.layout is None:
+    signal = record.values("rate")
+    if signal is None or record.layout is None:
         return False
-    time, rate, _ = found
+    time, rate, _ = signal
     rows = (time >= start - 0.3) & (time <= end)
     x, y, _ = record.layout.position[rotor]
     towards = rate[rows, 1] * np.sign(x) - rate[rows, 0] * np.sign(

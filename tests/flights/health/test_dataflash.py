@@ -83,8 +83,8 @@ def test_a_healthy_flight_has_no_defect(path: Path) -> None:
 @pytest.mark.parametrize(("vibration", "level"), [(20.0, None), (40.0, "warning"), (70.0, "fault")])
 def test_vibration_by_ardupilots_own_limits(path: Path, vibration: float, level: str | None) -> None:
     path.write_bytes(log(vibration=vibration))
-    found = {s.level for s in read_health(read_log(path)).statements if s.name == "vibration"}
-    assert found == ({level} if level else set())
+    levels = {s.level for s in read_health(read_log(path)).statements if s.name == "vibration"}
+    assert levels == ({level} if level else set())
 
 
 def test_samples_at_the_accelerometers_limit_are_counted(path: Path) -> None:
@@ -112,8 +112,8 @@ def test_of_two_errors_the_earlier_one_comes_first(path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [0.3, 0.6, 0.9])
 def test_a_log_that_is_cut_off_still_answers(path: Path, cut: float) -> None:
-    whole = log()
-    path.write_bytes(whole[: int(cut * len(whole))])
+    data = log()
+    path.write_bytes(data[: int(cut * len(data))])
     assert len(read_health(read_log(path)).sentences) == 2
 
 
