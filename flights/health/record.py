@@ -111,9 +111,13 @@ class Record:
         return rows
 
     def values(self, name: str) -> tuple[Floats, Floats, str] | None:
-        """Time, (n, k) values and source of a quantity; None where it is not logged."""
+        """Time, (n, k) values and source of a quantity's rows with numbers, of a position its height; None without."""
         stream = self.log.stream(name)
-        return None if stream is None or len(stream.time) < 2 else (stream.time, stream.values, stream.source)
+        if stream is None:
+            return None
+        numbers = np.isfinite(stream.values)
+        rows = numbers[:, 2] if name == "position" else numbers.all(axis=1)
+        return (stream.time[rows], stream.values[rows], stream.source) if rows.sum() > 1 else None
 
     def commands(self) -> tuple[Floats, Floats, str] | None:
         """Rotor commands that are more than a column of constants, else None."""

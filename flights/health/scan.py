@@ -66,7 +66,7 @@ def _mode_durations(log: Log) -> list[tuple[int | str, int]]:
     """Each mode, by PX4's number where it has one, and its seconds, in the order of time."""
     numbers = {name: number for number, name in PX4_MODES.items()}
     modes = [event for event in log.events if event.kind == "mode"]
-    ends = [*(event.time for event in modes[1:]), log.duration]
+    ends = [*(event.time for event in modes[1:]), log.duration][: len(modes)]
     return [
         (numbers.get(event.text, event.text), max(0, round(end - max(event.time, 0.0))))
         for event, end in zip(modes, ends, strict=True)

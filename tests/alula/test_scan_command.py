@@ -52,6 +52,14 @@ def test_every_log_is_a_line_and_bad_ones_have_an_error(run: Run, folder: Path, 
     }
 
 
+def test_a_log_without_modes_has_none(run: Run, tmp_path: Path) -> None:
+    shutil.copy("tests/data/rotorpy_100hz/flight_0.csv.gz", tmp_path)
+    code, out, err = run("scan", tmp_path)
+    assert code == 0, err
+    line = json.loads(out)
+    assert (line["outcome"], line["FlightModes"], line["FlightModeDurations"]) == ("ok", "", "")
+
+
 def test_lines_go_into_a_file(run: Run, folder: Path, tmp_path: Path) -> None:
     code, out, _ = run("scan", folder, "--out", tmp_path / "scan.ndjson")
     assert (code, out) == (0, "")
