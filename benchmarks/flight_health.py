@@ -23,7 +23,7 @@ REAL = (  # logs of real vehicles and of real PX4 in its own simulation, and wha
     ("tests/data/pyulog_samples/sample_px4_events.ulg.gz", ("",)),
     ("tests/data/px4_sih_flights/nothing_1_circle.ulg.gz", ("",)),
     ("tests/data/px4_sih_flights/nothing_2_line.ulg.gz", ("",)),
-    ("tests/data/px4_sih_flights/nothing_3_warped_ellipse_2.ulg.gz", ("",)),
+    ("tests/data/px4_sih_flights/nothing_3_warped_ellipse_2.ulg.gz", ("tipped_over",)),  # by 43 degrees, its SOURCE
 )
 
 
