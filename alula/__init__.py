@@ -20,7 +20,7 @@ from alula.rooms import require_own_rooms
 if TYPE_CHECKING:
     from alula.api.diagnosis import add_effect, add_from_flight, compare, compare_hover, diagnose, prove
     from alula.api.fleet import diagnose_fleet
-    from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
+    from alula.api.flights import assess_health, describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate, verify
     from alula.api.learning import evaluate, export, train
     from alula.api.planning import plan_flight
@@ -46,6 +46,7 @@ __all__ = [
     "__version__",
     "add_effect",
     "add_from_flight",
+    "assess_health",
     "check_vehicle",
     "compare",
     "compare_hover",
@@ -75,7 +76,14 @@ __all__ = [
 _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.diagnosis": ("add_effect", "add_from_flight", "compare", "compare_hover", "diagnose", "prove"),
     "alula.api.fleet": ("diagnose_fleet",),
-    "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
+    "alula.api.flights": (
+        "assess_health",
+        "describe_effects",
+        "inspect",
+        "load_vehicle",
+        "read_flight",
+        "read_flights",
+    ),
     "alula.api.flying": ("fly", "simulate", "verify"),
     "alula.api.learning": ("evaluate", "export", "train"),
     "alula.api.planning": ("plan_flight",),

@@ -284,6 +284,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("flights/hypotheses", "flights/plausibility.py"),
             ("--logs", "2", "--recordings", "tests/data/nanobench"),
         ),
+        "health": Measurement(
+            "benchmarks.flight_health:flight_health",
+            ("flight_health",),
+            ("flights/health",),
+            ("--cases", "1", *NOT_KEPT),
+        ),
         "rotor_orders": Measurement(
             "benchmarks.readers:rotor_orders", ("rotor_orders",), ("diagnosis/data",), ("--sets", "1")
         ),

@@ -29,6 +29,10 @@ ROOMS = (
 )  # of alula.api, in the order of the loop
 REPORTS = (  # that functions return as they are
     ("flights.quality.inspection", "Inspection"),
+    ("flights.health.answer", "Health"),
+    ("flights.health.answer", "Statement"),
+    ("flights.health.answer", "Evidence"),
+    ("flights.health.answer", "HealthEvent"),
     ("dynamics.vehicle_draft", "Draft"),
     ("diagnosis.vehicle_from_logs", "LogVehicle"),
     ("diagnosis.vehicle_identification", "Identification"),

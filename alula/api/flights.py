@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dynamics.effect_card import EffectCard
     from dynamics.vehicle import Vehicle
     from flights import Flight, Log
+    from flights.health import Health
     from flights.quality import Inspection
 
 
@@ -137,3 +138,26 @@ def inspect(
     with system_chosen(system):
         content = read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log
     return judge(content, catalogue_with(effect_files))
+
+
+def assess_health(log: Log | str | Path, *, mapping: str | Path | None = None, system: int | None = None) -> Health:
+    """The health of a flight by what logs at default rates have: who gave up first, and what followed.
+
+    log: a file, or what `alula.read_log` returned; ULog and DataFlash also tell what the autopilot says of itself.
+    mapping: column mapping (TOML) for a CSV file of another tool.
+    system: as for `read_flight`.
+
+    Returns a Health: `sentences` are two, `advice` what to do, `statements` each with evidence and certainty, `events`
+        in the order of time, `unknown` what the log cannot tell.
+    Raises RequestError and DataError for a log that cannot be read.
+
+    Example:
+        health = alula.assess_health("logs/flight_0.csv")
+        print(*health.sentences, *health.advice, sep="\\n")
+    """
+    with workbench("alula.assess_health"):
+        from flights import read_log
+        from flights.health import read_health
+    with system_chosen(system):
+        content = read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log
+    return read_health(content)

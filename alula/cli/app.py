@@ -46,6 +46,7 @@ COMMANDS = (
     "replay",
     "campaign",
     "inspect",
+    "scan",
     "compare",
     "diagnose",
     "add",

@@ -14,6 +14,7 @@ import alula
 from alula.api.inputs import log_paths
 from alula.cli.console import Console
 from alula.cli.escaping import printable
+from alula.cli.health import print_health, with_health
 from alula.cli.intake import note_skipped
 from alula.cli.options import Effects, Mapping, OneFlight, Pose, RecordedSystem
 from alula.cli.output import options, print_next
@@ -23,6 +24,7 @@ from studio.pages.provenance import origin
 
 if TYPE_CHECKING:
     from flights import Log
+    from flights.health import Health
     from flights.quality import Inspection
     from studio.pages.inspected import Section
 
@@ -68,8 +70,9 @@ def inspect(
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
-    """Check logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
+    """Check logs: what broke in the flight, rates, gaps, clocks, frozen channels, excitation, what it identifies."""
     inspections: list[Inspection] = []
+    answers: list[Health] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
     note_skipped(log, mapping)
@@ -78,18 +81,23 @@ def inspect(
     for files in [paths] if one_flight else [[path] for path in paths]:
         try:
             streams = _read(files, mapping, pose)
+            answers.append(alula.assess_health(streams))
             inspections.append(alula.inspect(streams, effect_files=effects or ()))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
         except AlulaError as error:
+            if len(answers) > len(inspections):  # read, but nothing in it to inspect: what it tells comes first
+                print_health(answers.pop(), Console(), everything=everything, muted=as_json)
             if len(paths) == 1 or one_flight:
                 raise
             refused.append(error)
     if as_json:
-        write_answer(inspections, STANDARD_OUTPUT)
+        write_answer(with_health(inspections, answers), STANDARD_OUTPUT)
     else:
         console = Console()
-        for inspection in inspections:
+        for inspection, health in zip(inspections, answers, strict=True):
+            console.rule(inspection.path, align="left")
+            print_health(health, console, everything=everything)
             _print(inspection, console, everything=everything)
     if html is not None:
         from studio.pages.inspected import inspection_page
@@ -156,7 +164,6 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     from flights.log import DAMAGE
 
     colour = COLOURS[inspection.verdict]
-    console.rule(inspection.path, align="left")
     console.print(f"[bold {colour}]{inspection.sentence}[/]", highlight=False)
     console.print(
         f"{inspection.format}, {inspection.duration:.1f} s, {inspection.free_flight:.1f} s of free flight in "

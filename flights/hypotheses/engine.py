@@ -11,7 +11,7 @@ import numpy as np
 
 from flights.hypotheses import axes, clocks, pose, scales
 from flights.hypotheses.hypothesis import Hypothesis, Streams, after
-from flights.hypotheses.motion import MIN_SPEED, Motion
+from flights.hypotheses.motion import MIN_ROWS, MIN_SPEED, Motion
 from flights.hypotheses.pose import CLOSES
 from flights.log import Stream
 from flights.stream_repair import StreamRepair
@@ -119,7 +119,7 @@ def _length(quantity: str, scale: tuple[str, float], evidence: str) -> Hypothesi
 def _impossible(motion: Motion, quantity: str) -> list[Hypothesis]:
     speed = np.linalg.norm(motion.velocity if quantity == "velocity" else motion.moved, axis=1)
     speed = speed[np.isfinite(speed)]
-    fastest = float(np.percentile(speed, 90)) if len(speed) else 0.0
+    fastest = float(np.percentile(speed, 90)) if len(speed) >= MIN_ROWS else 0.0
     if fastest < _IMPOSSIBLE_SPEED:
         return []
     return [

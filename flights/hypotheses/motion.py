@@ -21,6 +21,7 @@ from flights.quantities import MOTION
 GRID_RATE = 50.0  # Hz
 MAX_ROWS = 20_000  # 400 s: more motion decides nothing further
 SPAN = 5  # steps, 0.1 s
+MIN_ROWS = 200  # of the grid, 4 s of motion, below which nothing is compared
 MIN_SPEED = 0.15  # m/s rms, below which position and velocity cannot be compared
 _MAX_TURN = 2.0  # rad in a span: beyond, a rotation vector is not the mean rate times time
 _UP = np.array([0.0, 0.0, 1.0])

@@ -16,7 +16,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import both, rms
-from flights.hypotheses.motion import Motion, change
+from flights.hypotheses.motion import MIN_ROWS, Motion, change
 from flights.hypotheses.rotation import (
     ALIKE,
     FRD,
@@ -34,13 +34,12 @@ _HEADING = np.deg2rad(15.0)  # by which an estimator's north may be off motion c
 MIN_TURNING = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 MIN_ACCELERATION = 0.3  # m/s^2 rms of specific force in the world that must vary
 MIN_LATERAL = 0.25  # m/s^2 rms along body x and y, below which a turn of the accelerometer about z does not show
-_MIN_ROWS = 100  # that can be compared
 _CLEAR_LATERAL = 0.6  # correlation of lateral force and what the pose needs, at the best turn,
 _CLEARER = 0.25  # and by which it must exceed that without a turn
 COST = 0.02  # of the share that closes, for an assumption that a reading adds to what was declared
 _AXES, _ANY, _MIRRORED = 1.5, 2.0, 2.5  # assumptions that a turn of whole axes, any other, a left-handed one are
 CLOSES = 0.5  # share of motion beyond which a pair closes
-UPRIGHT = np.deg2rad(25.0)  # between a direction and an axis that count as one
+UPRIGHT = np.deg2rad(20.0)  # between a direction and an axis that count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,7 @@ def _read(motion: Motion, order: str, *, conjugate: bool) -> list[Reading]:
 def _rates(motion: Motion, attitude: Floats) -> list[Fit | None]:
     """Turns from the attitude's body axes to the gyro's: by motion alone, and as one with the accelerometer."""
     pair = both(motion.turning(attitude), motion.rate) if motion.has("rate") else None
-    if pair is None or rms(pair[0]) < MIN_TURNING:
+    if pair is None or len(pair[0]) < MIN_ROWS or rms(pair[0]) < MIN_TURNING:
         return [None]
     alone = _closing(fitted(*pair, mirrored=True))
     if not motion.has("specific_force"):
@@ -160,11 +159,18 @@ def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
     if motion.has("specific_force"):
         sensor = _usual_force(motion)
     world, acceleration = None, motion.acceleration
-    if acceleration is not None and (pair := both(force, acceleration)) is not None:
+    pair = None if acceleration is None else both(force, acceleration)
+    if pair is not None and len(pair[0]) >= MIN_ROWS:
         x, y = (values - values.mean(axis=0) for values in pair)
         if rms(x) > MIN_ACCELERATION:
             world = _closing(fitted(x, y, mirrored=motion.has("specific_force"), snap=_HEADING))
+            if not _along_an_axis(world.turn @ up):  # nobody's convention has a tilted up
+                world = Fit(np.eye(3), world.gain, world.plain, world.plain)
     return Reading(reading.order, reading.conjugate, reading.rate, world, reading.force_turn, up, sensor)
+
+
+def _along_an_axis(direction: Floats) -> bool:
+    return float(np.max(np.abs(direction))) > np.cos(UPRIGHT)
 
 
 def _direction(vectors: Floats) -> Floats:
@@ -191,7 +197,7 @@ def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
     body = quaternion.rotate_inverse(middle, needed @ reading.world.turn)
     force = motion.force @ reading.force_turn
     finite = np.isfinite(body).all(axis=1) & np.isfinite(force).all(axis=1)
-    if np.count_nonzero(finite) < _MIN_ROWS:
+    if np.count_nonzero(finite) < MIN_ROWS:
         return None
     x, y = (_without_lever(motion, values, finite)[:, :2] for values in (body, force))
     size = np.sqrt(np.sum(x**2) * np.sum(y**2))
