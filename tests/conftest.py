@@ -14,7 +14,9 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from vehicles import FOLDER
 
-pytest_plugins = ("tests.support.realtime", "tests.support.clock_worker", "tests.support.durations")
+pytest_plugins = (
+    "tests.support.realtime", "tests.support.clock_worker", "tests.support.durations", "tests.support.nightly",
+)  # fmt: skip
 
 # A noisy machine makes single examples slow, which says nothing about them.
 settings.register_profile("alula", deadline=None)
