@@ -337,7 +337,10 @@ def test_a_request_that_cannot_be_met_names_the_remedy(run: Run, tmp_path: Path)
 def test_a_dask_worker_that_is_killed_half_way_loses_nothing_and_repeats_nothing(
     copied: Path, diagnosed: FleetResult, tmp_path: Path
 ) -> None:
-    refused = ("alpha/2026-01-05.csv", "beta/2026-01-12.csv")  # at once: whoever refuses the first is killed at the next
+    refused = (
+        "alpha/2026-01-05.csv",
+        "beta/2026-01-12.csv",
+    )  # at once: whoever refuses the first is killed at the next
     for name in refused:
         (copied / name).write_text("hello")
     out, killed = tmp_path / "out", list[int]()

@@ -22,8 +22,8 @@ def read_table(path: Path = TABLE) -> list[dict[str, Any]]:
     return list(tomllib.loads(path.read_text(encoding="utf-8"))["group"])
 
 
-def mark(items: Sequence[pytest.Item], table: Sequence[dict[str, Any]], root: Path = TESTS, *, whole: bool) -> None:
-    """Mark what the table lists as slow. whole: items are all tests of their files.
+def mark(items: Sequence[pytest.Item], table: Sequence[dict[str, Any]], root: Path = TESTS, *, complete: bool) -> None:
+    """Mark what the table lists as slow. complete: items are all tests of their files.
 
     Raises UsageError where a file of the items lacks a test that the table names, or a guard is slow.
     """
@@ -33,7 +33,7 @@ def mark(items: Sequence[pytest.Item], table: Sequence[dict[str, Any]], root: Pa
 
     def matching(name: str, purpose: str = "") -> list[pytest.Item]:
         matches = [item for other, item in named.items() if other.startswith(name)]
-        if whole and not matches and name.split("::")[0] in files:
+        if complete and not matches and name.split("::")[0] in files:
             faults.append(f"no test is named {name}{purpose}")
         return matches
 
@@ -60,4 +60,4 @@ def name_of(item: pytest.Item, root: Path = TESTS) -> str:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the table's tests before slow ones are left out."""
     ours = [item for item in items if TESTS in item.path.parents]
-    mark(ours, read_table(), whole=not any("::" in argument for argument in config.args))
+    mark(ours, read_table(), complete=not any("::" in argument for argument in config.args))

@@ -19,11 +19,11 @@ def test_it_holds_for_long(): ...
 """
 
 
-def collected(pytester: pytest.Pytester, table: list[dict[str, Any]], *, whole: bool = True) -> list[str]:
+def collected(pytester: pytest.Pytester, table: list[dict[str, Any]], *, complete: bool = True) -> list[str]:
     """Names of the tests that are slow with a table."""
     (pytester.path / "pytest.ini").write_text("[pytest]\nmarkers = slow: takes long\n")
     items, _ = pytester.inline_genitems(pytester.makepyfile(test_room=TESTS), "-p", "no:dash")
-    mark(items, table, pytester.path, whole=whole)
+    mark(items, table, pytester.path, complete=complete)
     return [item.name for item in items if item.get_closest_marker("slow")]
 
 
@@ -54,7 +54,7 @@ def test_a_group_without_a_test_or_a_guard_refuses_the_run(
 
 
 def test_a_run_of_a_few_tests_is_not_refused_for_the_others(pytester: pytest.Pytester) -> None:
-    assert collected(pytester, [group("test_gone", "test_it_holds[1]")], whole=False) == ["test_it_holds_for_long"]
+    assert collected(pytester, [group("test_gone", "test_it_holds[1]")], complete=False) == ["test_it_holds_for_long"]
 
 
 def test_every_group_says_why() -> None:

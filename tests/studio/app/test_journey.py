@@ -1,4 +1,4 @@
-"""From dropping a log to the fallen error, by clicks, in a browser, on short flights and three formats of PX4's logs."""
+"""From dropping a log to the fallen error, by clicks, in a browser, on short flights and three formats of PX4 logs."""
 
 from __future__ import annotations
 

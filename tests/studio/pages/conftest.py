@@ -13,8 +13,11 @@ from dynamics.vehicle_file import read_vehicle
 from fixtures.planted_dataset import planted_dataset
 from vehicles import FOLDER
 
-
-MANOEUVRES = ("circle:laps=3,ramp=1,speed=1.2", "Lemniscate:laps=4,ramp=1.5,speed=0.9", "ExtendedLemniscate:laps=3,ramp=1")
+MANOEUVRES = (
+    "circle:laps=3,ramp=1,speed=1.2",
+    "Lemniscate:laps=4,ramp=1.5,speed=0.9",
+    "ExtendedLemniscate:laps=3,ramp=1",
+)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The steps of a case in a process of their own: from logs to the version whose error fell. test_journey clicks them."""
+"""The steps of a case in a process of their own, from logs to the version whose error fell; a journey clicks them."""
 
 from __future__ import annotations
 
