@@ -157,6 +157,7 @@ def _path_figure(folder: Path, rows: Rows, scheme: str) -> go.Figure:
     axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": "#868e96", "showbackground": False}
     titles = {"xaxis": "x, m", "yaxis": "y, m", "zaxis": "z, m"}
     sides = dict(zip("xyz", sides_of(position[np.isfinite(position).all(axis=1)]).tolist(), strict=True))
-    scene = {"aspectmode": "manual", "aspectratio": sides, "camera": CAMERA}
-    figure.update_layout(scene={**scene, **{k: {**axis, "title": t} for k, t in titles.items()}}, margin={"l": 0, "r": 0, "t": 0, "b": 64})
+    axes = {k: {**axis, "title": t} for k, t in titles.items()}
+    scene = {"aspectmode": "manual", "aspectratio": sides, "camera": CAMERA, **axes}
+    figure.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 0, "b": 64})
     return figure
