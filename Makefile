@@ -2,6 +2,7 @@
 # make test   the tests of every change
 # make test-all  those that take long as well: every page's commands, every case of the verdict, every journey
 # make lint   ruff, mypy, import-linter, the glossary's rules for identifiers and docstrings
+# make kernels  the machine code that many tests need, into the cache; make test compiles what it lacks
 # make docs   the documentation as a site in build/site; a warning is an error
 # make study  the slow measurements in benchmarks/, each of which writes its own page; a failure is listed at the end.
 #             make benchmarks/THEME.py takes those of one theme, make benchmarks/THEME/NAME.py one alone
@@ -21,8 +22,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCKED := $(PIP) --require-hashes --no-deps --requirement
-# one thread a library: with their pools two workers on two processors took 115 s for a test of 23 s
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --dist loadfile --no-loadscope-reorder --durations 30
+# one thread a library: with their pools two workers on two processors took 115 s for a test of 23 s; byte code is kept
+# though the environment says not to: without it each of hundreds of processes compiles 300 of our modules, for 1 s
+PYTEST := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses logical --dist loadfile --no-loadscope-reorder --durations 30
 RECIPE := pyproject.toml constraints.txt $(wildcard requirements/*.lock)
 HOURS ?= 8
 UV ?= uv
@@ -30,7 +32,7 @@ UV ?= uv
 STUDIES := $(filter-out benchmarks/__main__.py,$(shell grep -l '^if __name__ == "__main__"' benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test test-all lint docs study verdict study-public wheel fuzz licences conformance clean $(STUDIES)
+.PHONY: demo hour test test-all kernels lint docs study verdict study-public wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -44,6 +46,9 @@ test: .venv/development.stamp
 
 test-all: .venv/development.stamp
 	$(PYTEST) -m "slow or not slow"
+
+kernels: .venv/development.stamp
+	$(BIN)/python -m fixtures.kernels
 
 lint: .venv/development.stamp
 	$(BIN)/ruff check .

@@ -14,7 +14,9 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from vehicles import FOLDER
 
-pytest_plugins = ("tests.support.realtime", "tests.support.clock_worker", "tests.support.durations")
+pytest_plugins = (
+    "tests.support.realtime", "tests.support.clock_worker", "tests.support.durations", "tests.support.nightly",
+)  # fmt: skip
 
 # A noisy machine makes single examples slow, which says nothing about them.
 settings.register_profile("alula", deadline=None)
@@ -22,8 +24,10 @@ settings.load_profile("alula")
 
 # Files of minutes, which the workers begin first: the last one would be left to one of them alone.
 LONG = (
-    "studio/app/test_journey.py", "studio/work/test_steps.py", "docs/test_commands_of_pages.py",
-    "diagnosis/verdicts/test_real_statements.py", "diagnosis/verdicts/test_sets_of_many.py",
+    "studio/app/test_journey.py", "studies/test_search.py", "studio/work/test_steps.py", "studies/test_fleet.py",
+    "acceptance/test_hidden_effect.py", "training/test_trainer.py", "studies/test_demo.py",
+    "studio/pages/test_report.py", "docs/test_commands_of_pages.py",
+    "diagnosis/verdicts/test_sets_of_many.py",
 )  # fmt: skip
 
 

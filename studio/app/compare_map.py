@@ -16,6 +16,7 @@ from studio.app.place import result_at
 from studio.app.studio import Studio
 from studio.app.theme import EMPTY, HIGHLIGHT, choices_of, figure_of, styled
 from studio.app.traces import cell_seconds, cells_of, over_floor, row_at
+from studio.pages.flown import sides_of
 from studio.pages.numbers import quantity_shown
 from studio.work.arrays import read_array
 from studio.work.results import Compared, Rows
@@ -23,7 +24,7 @@ from studio.work.results import Compared, Rows
 SHOWN_SECONDS = 8  # buttons of a cell
 PATH_POINTS = 4000
 PATH_HEIGHT = 480  # px
-# from where the whole box shows in a picture that is narrower than it is high, as on a telephone
+# from where a box of sides up to 1 shows in a picture that is narrower than it is high, as on a telephone
 CAMERA = {"eye": {"x": 2.1, "y": 2.1, "z": 1.6}}
 
 
@@ -155,6 +156,8 @@ def _path_figure(folder: Path, rows: Rows, scheme: str) -> go.Figure:
     styled(figure, scheme, height=PATH_HEIGHT)
     axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": "#868e96", "showbackground": False}
     titles = {"xaxis": "x, m", "yaxis": "y, m", "zaxis": "z, m"}
-    scene = {"aspectmode": "data", "camera": CAMERA, **{k: {**axis, "title": t} for k, t in titles.items()}}
+    sides = dict(zip("xyz", sides_of(position[np.isfinite(position).all(axis=1)]).tolist(), strict=True))
+    axes = {k: {**axis, "title": t} for k, t in titles.items()}
+    scene = {"aspectmode": "manual", "aspectratio": sides, "camera": CAMERA, **axes}
     figure.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 0, "b": 64})
     return figure

@@ -17,6 +17,7 @@ from studies.sweep.cell_work import CellWork
 from studies.sweep.report import tables_of
 from studies.sweep.run import SweepOptions, make_sweep
 from studies.sweep.search import JOURNAL
+from training.card import FlightError
 
 
 def search_options(campaign: Path, out: Path, trials: int, **fields: object) -> SweepOptions:
@@ -44,6 +45,19 @@ def start_search(campaign: Path, out: Path, trials: int, steps: int) -> subproce
     )
 
 
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trials that take no time, and err by their learning rate."""
+
+    def train(work: CellWork) -> CellResult:
+        rate = float(work.cell.recipe["learning_rate"])
+        error = FlightError("test/Lemniscate.parquet", 100, rate, rate, rate, 1.0)
+        return CellResult(work.cell, work.fingerprint, (error,), (), rate, 20, 0.1, 1e-4, "here")
+
+    monkeypatch.setattr("studies.sweep.execution.train_cell", train)
+
+
+@pytest.mark.usefixtures("quick")
 def test_a_search_continues_with_its_earlier_trials(campaign: Path, tmp_path: Path) -> None:
     early = dict(make_sweep(search_options(campaign, tmp_path / "out", 2)).outcomes())
     sweep = make_sweep(search_options(campaign, tmp_path / "out", 4))
@@ -103,6 +117,7 @@ def test_two_processes_share_a_search(campaign: Path, tmp_path: Path) -> None:
     assert len({result.cell.recipe["learning_rate"] for result in results.values()}) == 4
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_folder_from_before_the_journal_is_read(campaign: Path, tmp_path: Path) -> None:
     early = dict(make_sweep(search_options(campaign, tmp_path, 2)).outcomes())
     (tmp_path / JOURNAL).unlink()

@@ -1,4 +1,4 @@
-"""From dropping a log to the fallen error, by clicks, in a browser, on three formats of logs with a hidden effect."""
+"""From dropping a log to the fallen error, by clicks, in a browser, on short flights and three formats of PX4 logs."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ def _require_accessible(page: Page) -> None:
     assert not findings, [(v["id"], v["nodes"][0]["html"]) for v in findings]
 
 
-def _use_px4_sih(page: Page) -> None:
-    """Choose the vehicle; nothing moves under a click on its way when the logs are checked."""
+def _use_vehicle(page: Page, name: str = "px4_sih") -> None:
+    """Choose a bundled vehicle; nothing moves under a click on its way when the logs are checked."""
     use = page.get_by_role("button", name="Use it")
     before = use.bounding_box()
     _wait(page, "check", "done")
     expect(page.locator("#work [role=progressbar]")).to_have_count(0)
     assert use.bounding_box() == before
     page.get_by_role("textbox", name="A bundled vehicle").click()
-    page.get_by_role("option", name="px4_sih").click()
+    page.get_by_role("option", name=name).click()
     use.click()
 
 
@@ -80,16 +80,21 @@ def _numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
 
 
-@pytest.mark.long("from logs of PX4 to a version that has flown, by clicks")
+@pytest.mark.long("from logs to a version that has flown, by clicks")
 @pytest.mark.parametrize(
-    "logs", ["ulogs", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("csvs", "recordings"))]
+    ("logs", "vehicle"),
+    [
+        ("short_logs", "arpl_250g"),
+        *(pytest.param(kind, "px4_sih", marks=pytest.mark.slow) for kind in ("ulogs", "csvs", "recordings")),
+    ],
+    ids=("short flights", "ulogs", "csvs", "recordings"),
 )
 @pytest.mark.timeout(600)
 def test_a_log_becomes_a_better_model_by_clicks(
-    page: Page, address: str, logs: str, request: pytest.FixtureRequest
+    page: Page, address: str, logs: str, vehicle: str, request: pytest.FixtureRequest
 ) -> None:
     files: list[Path] = request.getfixturevalue(logs)
-    widths = WIDTHS if logs == "ulogs" else SCREEN  # the pictures of all three are the same
+    widths = SCREEN if logs in ("csvs", "recordings") else WIDTHS  # the pictures of all are the same
     page.goto(address)
     if logs == "csvs":  # one of them in the dark scheme, for its contrasts
         page.get_by_label("dark").check(force=True)
@@ -98,7 +103,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.get_by_role("button", name="New case").click()
     _drop(page, "drop-logs", files)
     expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible(timeout=PATIENCE)
-    _use_px4_sih(page)
+    _use_vehicle(page, vehicle)
     _wait(page, "compare", "done")
     assert require_drawn(page, widths) == ["log-lines"]
 
@@ -219,7 +224,7 @@ def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
     page.get_by_label("Name").fill("half typed")
     expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible()
     expect(page.get_by_label("Name")).to_have_value("half typed")  # what was read meanwhile leaves it
-    _use_px4_sih(page)
+    _use_vehicle(page)
     _wait(page, "compare", "done")
     _go(page, "diagnose")
     page.get_by_role("button", name="Diagnose", exact=True).click()

@@ -13,6 +13,12 @@ from dynamics.vehicle_file import read_vehicle
 from fixtures.planted_dataset import planted_dataset
 from vehicles import FOLDER
 
+MANOEUVRES = (
+    "circle:laps=3,ramp=1,speed=1.2",
+    "Lemniscate:laps=4,ramp=1.5,speed=0.9",
+    "ExtendedLemniscate:laps=3,ramp=1",
+)
+
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
@@ -21,7 +27,8 @@ def vehicle() -> Vehicle:
 
 @pytest.fixture(scope="session")
 def dataset(vehicle: Vehicle) -> Dataset:
-    return planted_dataset(vehicle, [EffectUse("rotor_drag", {"coefficient": 2.2e-5})], seed=5)
+    hidden = EffectUse("rotor_drag", {"coefficient": 2.2e-5})
+    return planted_dataset(vehicle, [hidden], seed=5, manoeuvres=MANOEUVRES)
 
 
 @pytest.fixture(scope="session")

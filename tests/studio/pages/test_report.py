@@ -157,12 +157,21 @@ CUT = """() => {
 
 
 @needs_browser
+@pytest.mark.parametrize(
+    "looks",
+    [
+        pytest.param(((390, True), (1280, False)), id="each width and scheme"),
+        pytest.param(((390, False), (1280, True)), id="crossed", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("name", ["diagnose", "compare", "demo"])
-def test_a_page_draws_all_pictures_and_cuts_no_table(pages: dict[str, str], name: str, tmp_path: Path) -> None:
+def test_a_page_draws_all_pictures_and_cuts_no_table(
+    pages: dict[str, str], name: str, looks: tuple[tuple[int, bool], ...], tmp_path: Path
+) -> None:
     path = tmp_path / "page.html"
     write_page(pages[name], path)
     with browser() as started:
-        for width, dark in ((390, False), (390, True), (1280, False), (1280, True)):
+        for width, dark in looks:
             with drawn_page(started, path, width=width, dark=dark) as page:
                 assert page.locator(".plot .main-svg").count() >= page.locator(".plot").count() > 5
                 assert page.evaluate(CUT) == [False, []]
