@@ -170,7 +170,7 @@ def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
 
 
 def _along_an_axis(direction: Floats) -> bool:
-    return float(np.max(np.abs(direction))) > np.cos(UPRIGHT)
+    return bool(np.max(np.abs(direction)) > np.cos(UPRIGHT))
 
 
 def _direction(vectors: Floats) -> Floats:
