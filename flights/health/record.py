@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
+from flights.exclusion import excluded_rows, find_exclusions
 from flights.filters import runs
+from flights.flight import Flight
 from flights.health.answer import HealthEvent
 from flights.log import Log
 from flights.rotor_layout import RotorLayout, rotor_layout
 
-MIN_FLIGHT_HEIGHT = 0.3  # m above the lowest sample, where no land detector is logged
 NEAR_GROUND = 1.0  # m above the lowest sample: the estimate's height drifts by so much in a flight
 MOVES = 0.02  # of the range that commands cover at least; less is a column that nothing is connected to
 
@@ -167,21 +168,20 @@ def build_record(log: Log, autopilot: AutopilotSeries) -> Record:
 
 
 def _times_in_air(log: Log, reported: Series | None) -> tuple[tuple[float, float], ...]:
-    """Spans between take-off and landing: by the land detector, or else by arming and height, or else the whole log."""
-    end = max((float(stream.time[-1]) for stream in log.streams), default=0.0)
+    """Spans between take-off and landing: by the land detector, or else where `flights.exclusion` finds no ground."""
+    if not log.streams:
+        return ()
+    end = max(float(stream.time[-1]) for stream in log.streams)
     landed, armed = log.stream("landed"), log.stream("armed")
     if landed is not None and len(landed.time):
         flying = landed.values[:, 0] == 0
         time = landed.time
     elif reported is not None and len(reported.time):
         flying, time = reported.values == 0, reported.time
-    elif (position := log.stream("position")) is not None and len(position.time) > 1:
-        height = position.values[:, 2]
-        if not np.isfinite(height).any():
-            return ()
-        flying, time = height > np.nanmin(height) + MIN_FLIGHT_HEIGHT, position.time
     else:
-        return ((0.0, end),) if end > 0 else ()
+        flight = Flight.from_log(log)
+        standing = [item for item in find_exclusions(flight) if item.reason == "ground"]
+        flying, time = ~excluded_rows(flight, standing), flight.time
     if armed is not None and len(armed.time):
         rows = np.searchsorted(armed.time, time, side="right") - 1
         flying = flying & (armed.values[np.maximum(rows, 0), 0] != 0)
