@@ -15,6 +15,7 @@ from flights.health.thresholds import AT_LIMIT, CELL, HOVER_SHARE, NEAR_LIMIT, P
 FULL_CELL = 4.25  # V, a little above 4.2: the least number of cells that the voltage at rest can have
 SMOOTHED = 1.0  # s
 REST = 3.0  # s before the load and after it between which a sag is read
+MIN_HOVER_ROWS = 10  # of the outputs, one second at PX4's default rate
 
 
 def level_of(value: float, limit: Limit) -> Level | None:
@@ -119,13 +120,14 @@ def margin_statements(record: Record) -> Iterator[Statement]:
         return
     time, command, source = signal
     air = record.airborne(time, 0.5) & np.isfinite(command).all(axis=1)
-    if air.sum() < 10:
+    if air.sum() < MIN_HOVER_ROWS:
         return
     rows = hover_rows(record, time) & air
-    basis, where = (command[rows], "in hover") if rows.sum() >= 10 else (command[air], "in flight")
+    hovers = int(rows.sum()) >= MIN_HOVER_ROWS
+    basis, where = (command[rows], "in hover") if hovers else (command[air], "in flight")
     share = float(np.median(basis.mean(axis=1)))
     evidence = Evidence(record.start, record.end, f"{source}, mean {where}", share, "1", HOVER_SHARE.warning)
-    level = level_of(share, HOVER_SHARE)
+    level = level_of(share, HOVER_SHARE) if hovers else None  # manoeuvres take more than the weight does
     text = f"the rotors work at {100 * share:.0f} % of their range {where}"
     if level is None:
         yield Statement("margin", "note", "seen", text, evidence)
