@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dynamics.errors import AlulaError, DataError, RequestError
-from flights import archive, plausibility, pose_source
+from flights import archive, pose_source
 from flights.events import Event
 from flights.hypotheses import Hypothesis, explain
 from flights.log import Log, LogContent, Provenance, Stream
@@ -216,11 +216,10 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
         remarks = " ".join((*content.notes, *map(str, content.unused)))
         raise DataError(f"{path} is a {form.label} without flight data. {remarks}".rstrip())
     notes = list(content.notes)
-    texts = [str(hypothesis) for hypothesis in explain(content.streams)]
-    for text in texts or [finding.text for finding in plausibility.check(content.streams)]:
+    for hypothesis in explain(content.streams):
         if not form.declares_frames:
-            raise DataError(f"{path}: {text}")
-        notes.append(text)
+            raise DataError(f"{path}: {hypothesis}")
+        notes.append(str(hypothesis))
     provenance = Provenance(
         str(path),
         digest,

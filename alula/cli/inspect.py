@@ -132,7 +132,7 @@ def _repaired(paths: list[Path], mapping: Path | None, repair: Path) -> Path | N
     from flights.hypotheses.mapping_file import write_repairs
     from flights.reading import found_hypotheses
 
-    hypotheses = found_hypotheses(paths[0], mapping=mapping)
+    hypotheses = [one for one in found_hypotheses(paths[0], mapping=mapping) if one.repairs]
     if not hypotheses:
         print(
             f"nothing to repair: the columns of {printable(str(paths[0]))} agree, or move too little", file=sys.stderr

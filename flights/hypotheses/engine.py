@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from flights import plausibility
 from flights.hypotheses import axes, clocks, pose, scales
 from flights.hypotheses.hypothesis import Hypothesis, Streams, after
 from flights.hypotheses.motion import MIN_ROWS, MIN_SPEED, Motion
@@ -23,7 +24,10 @@ _IMPOSSIBLE_SPEED = 150.0  # m/s, faster than any multirotor flies
 
 
 def explain(streams: Sequence[Stream]) -> tuple[Hypothesis, ...]:
-    """Hypotheses about the streams; empty where they close as declared, or move too little to tell."""
+    """Hypotheses about the streams; empty where they close as declared, or move too little to tell.
+
+    After them, without repairs, the contradictions that no hypothesis repairs.
+    """
     first: dict[str, Stream] = {}
     for stream in streams:
         first.setdefault(stream.name, stream)
@@ -32,7 +36,8 @@ def explain(streams: Sequence[Stream]) -> tuple[Hypothesis, ...]:
         for hypothesis in step(first):
             hypotheses.append(hypothesis)
             first = after(first, hypothesis)
-    return tuple(hypotheses)
+    rest = plausibility.check(list(first.values()))
+    return (*hypotheses, *(Hypothesis(one.name, one.text, "", ()) for one in rest))
 
 
 def _gyro_unit(streams: Streams) -> list[Hypothesis]:

@@ -20,7 +20,7 @@ class Hypothesis:
     name: for programs.
     text: what they are.
     evidence: what closes by it, and how far.
-    repairs: what makes the columns those of a flight.
+    repairs: what makes the columns those of a flight; empty where none does.
     """
 
     name: str
@@ -38,10 +38,14 @@ class Hypothesis:
     @property
     def advice(self) -> str:
         """Advice about it, for people."""
+        if not self.repairs:
+            return "convert it, or give a column mapping"
         return f"repair: {self.lines} in a mapping file, which `alula inspect LOG --repair FILE` writes"
 
     def __str__(self) -> str:
         """Statement, evidence and advice, for people."""
+        if not self.repairs:
+            return self.text
         return f"{self.text} ({self.evidence}). Wanted SI units, ENU and FLU, by one clock; {self.advice}."
 
 

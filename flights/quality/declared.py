@@ -6,23 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flights import plausibility
 from flights.flight import Flight
-from flights.hypotheses import explain
+from flights.hypotheses import Hypothesis, explain
 from flights.log import Stream
 from flights.quality.findings import Finding
 from flights.quantities import MOTION
 
 
 def declared_wrong(streams: Sequence[Stream]) -> list[Finding]:
-    """Hypotheses about the streams, or where they contradict each other for no cause that has a name."""
-    hypotheses = [
-        Finding("error", one.name, f"{one.text} ({one.evidence})", one.advice, fatal=True) for one in explain(streams)
-    ]
-    advice = "convert it, or give a column mapping"
-    return hypotheses or [
-        Finding("error", item.name, item.text, advice, fatal=True) for item in plausibility.check(streams)
-    ]
+    """Hypotheses about the streams, and contradictions between them, as findings."""
+    return [Finding("error", one.name, _statement(one), one.advice, fatal=True) for one in explain(streams)]
+
+
+def _statement(hypothesis: Hypothesis) -> str:
+    return f"{hypothesis.text} ({hypothesis.evidence})" if hypothesis.evidence else hypothesis.text
 
 
 def flying_streams(flight: Flight, free: Sequence[Flight]) -> list[Stream]:
