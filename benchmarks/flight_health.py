@@ -33,6 +33,8 @@ def flight_health(words: Sequence[str]) -> Page:
     Mock flights with one failure each, recorded at PX4's default rates: a cause is right where the statement that comes
     first has its name and, where one is meant, its rotor. Healthy flights (light wind, rotors up to 5 % apart, mass up
     to 10 % off) count every fault or warning as a false statement. No flight was looked at before the limits stood.
+
+        python -m benchmarks readers health [--seeds N] [--healthy N] [--jobs J]
     """
     parser = options_of(flight_health.__doc__, jobs=1, resumes="flight_health", seeds=2, healthy=30)
     options = parser.parse_args(words)

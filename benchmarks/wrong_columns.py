@@ -29,6 +29,8 @@ def wrong_columns(words: Sequence[str]) -> Page:
     cause is among what was found, silent where nothing at all is said, by hypotheses or by contradictions. Flights that
     move too little to tell are counted apart: those in which, as they are, less than half of the gyro's motion is the
     attitude's turning.
+
+        python -m benchmarks readers wrong_columns [--recordings FOLDER] [--seed N]
     """
     options = _options().parse_args(words)
     folder = Path(os.environ.get("ALULA_RECORDINGS", DATA)) if options.recordings is None else options.recordings

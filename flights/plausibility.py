@@ -82,6 +82,13 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
     return tuple(finding for finding in contradictions if finding is not None)
 
 
+def force_in_the_world(streams: Sequence[Stream]) -> Contradiction | None:
+    """Specific force along the axes of the world, whose agreement with the motion tells nothing of other axes."""
+    used = [stream for stream in streams if stream.name in ("attitude", "specific_force")]
+    grid = _grid(used)
+    return _force_against_tilt({stream.name: resample(stream, grid) for stream in used})
+
+
 def _grid(streams: list[Stream]) -> Floats:
     spanning = spanning_streams(streams)
     start = min((float(stream.time[0]) for stream in spanning), default=0.0)

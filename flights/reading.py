@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import archive, pose_source
 from flights.events import Event
-from flights.hypotheses import Hypothesis, explain
+from flights.hypotheses import Hypothesis, explain, in_words
 from flights.log import Log, LogContent, Provenance, Stream
 from flights.mapping import read_mapping, read_repairs
 from flights.readers import (
@@ -216,10 +216,10 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
         remarks = " ".join((*content.notes, *map(str, content.unused)))
         raise DataError(f"{path} is a {form.label} without flight data. {remarks}".rstrip())
     notes = list(content.notes)
-    for hypothesis in explain(content.streams):
-        if not form.declares_frames:
-            raise DataError(f"{path}: {hypothesis}")
-        notes.append(str(hypothesis))
+    hypotheses = explain(content.streams)
+    if hypotheses and not form.declares_frames:
+        raise DataError(f"{path}: {in_words(hypotheses)}")
+    notes += map(str, hypotheses)
     provenance = Provenance(
         str(path),
         digest,

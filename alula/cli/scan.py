@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from alula.cli.console import Console
+from alula.cli.output import command
 from alula.cli.progress import counting_bar
 from dynamics.errors import DataError, RequestError
 from dynamics.version import VERSION_KEY, __version__
@@ -56,6 +57,7 @@ def scan(
             stream.close()
     if errors == len(logs):
         raise DataError(f"none of {errors} logs could be read; each line has the reason.")
+    print(f"next: {command('inspect', folder)}", file=sys.stderr)  # lines of JSON are on standard output
 
 
 def _write(line: dict[str, Any], stream: Any) -> None:

@@ -34,4 +34,4 @@ class Workspace:
 
 def key_of(content: msgspec.Struct) -> bytes:
     """A vehicle or thresholds as a key: equal contents have one."""
-    return msgspec.msgpack.encode(content)
+    return msgspec.msgpack.encode(content, enc_hook=float)  # numbers of NumPy, which fits give

@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.alignment import resample
 from flights.hypotheses.hypothesis import Hypothesis, Streams
-from flights.hypotheses.motion import GRID_RATE, Motion
+from flights.hypotheses.motion import GRID_RATE, MAX_ROWS, Motion
 from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
 from flights.stream_repair import TIME, StreamRepair, evenly
@@ -114,9 +114,10 @@ def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, 
 
 def _sizes(stream: Stream) -> tuple[float, Floats] | None:
     """Start, s, and (n,) sizes of a stream's motion, on a grid of its own; None for one that moves too little."""
-    time = np.arange(stream.time[0], stream.time[-1], 1 / GRID_RATE)
-    if len(time) < _MIN_OVERLAP * GRID_RATE:
+    seconds = min(float(stream.time[-1] - stream.time[0]), MAX_ROWS / GRID_RATE)
+    if seconds < _MIN_OVERLAP:
         return None
+    time = np.asarray(stream.time[0] + np.arange(int(seconds * GRID_RATE)) / GRID_RATE)
     motion = Motion({stream.name: resample(stream, time)})
     vectors_of: dict[str, Callable[[], Floats]] = {
         "attitude": lambda: motion.turning(motion.values["attitude"]),

@@ -32,6 +32,10 @@ def explain(streams: Sequence[Stream]) -> tuple[Hypothesis, ...]:
     for stream in streams:
         first.setdefault(stream.name, stream)
     hypotheses: list[Hypothesis] = []
+    in_the_world = plausibility.force_in_the_world(list(first.values()))
+    if in_the_world is not None:
+        hypotheses.append(Hypothesis(in_the_world.name, in_the_world.text, "", ()))
+        del first["specific_force"]
     for step in _STEPS:
         for hypothesis in step(first):
             hypotheses.append(hypothesis)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -44,9 +44,16 @@ class Hypothesis:
 
     def __str__(self) -> str:
         """Statement, evidence and advice, for people."""
-        if not self.repairs:
-            return self.text
-        return f"{self.text} ({self.evidence}). Wanted SI units, ENU and FLU, by one clock; {self.advice}."
+        return in_words([self])
+
+
+def in_words(hypotheses: Sequence[Hypothesis]) -> str:
+    """All that a log's columns are, and one line that repairs it, for people."""
+    texts = [f"{one.text} ({one.evidence})" if one.evidence else one.text for one in hypotheses]
+    repairs = tuple(repair for one in hypotheses for repair in one.repairs)
+    if not repairs:
+        return " ".join(texts)
+    return f"{'; '.join(texts)}. Wanted SI units, ENU and FLU, by one clock; {Hypothesis('', '', '', repairs).advice}."
 
 
 def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:

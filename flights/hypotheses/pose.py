@@ -30,6 +30,7 @@ from flights.hypotheses.rotation import (
     snapped,
 )
 
+_NEAREST = np.deg2rad(60.0)  # beyond any turn's distance from the nearest whole axes about one axis
 _HEADING = np.deg2rad(15.0)  # by which an estimator's north may be off motion capture's axes: 9 degrees in NanoBench
 MIN_TURNING = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 MIN_ACCELERATION = 0.3  # m/s^2 rms of specific force in the world that must vary
@@ -163,7 +164,8 @@ def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
     if pair is not None and len(pair[0]) >= MIN_ROWS:
         x, y = (values - values.mean(axis=0) for values in pair)
         if rms(x) > MIN_ACCELERATION:
-            world = _closing(fitted(x, y, mirrored=motion.has("specific_force"), snap=_HEADING))
+            is_measured = motion.has("specific_force")  # the thrust's direction lacks the drag, which turns a circle's
+            world = _closing(fitted(x, y, mirrored=is_measured, snap=_HEADING if is_measured else _NEAREST))
             if not _along_an_axis(world.turn @ up):  # nobody's convention has a tilted up
                 world = Fit(np.eye(3), world.gain, world.plain, world.plain)
     return Reading(reading.order, reading.conjugate, reading.rate, world, reading.force_turn, up, sensor)

@@ -79,8 +79,11 @@ def dead_without_commands(flight: Flight) -> Flight:
         (scaled(30 / np.pi, *(f"rotor_speed_{i}" for i in ROTORS)), ["in rpm"]),
         (scaled(180 / np.pi, *(f"rate_{a}" for a in "xyz")), ["deg/s"]),
         (scaled(1 / 9.81, *(f"specific_force_{a}" for a in "xyz")), ["in g"]),
-        (scaled(1000.0, *(f"{q}_{a}" for q in POSE[:2] for a in "xyz")), ["millimetres for metres"]),
-        (scaled(-1.0, "rate_y", "rate_z"), ["not in the same axes"]),
+        (
+            scaled(1000.0, *(f"{q}_{a}" for q in POSE[:2] for a in "xyz")),
+            ["the velocity is in mm/s", "the position is in mm"],
+        ),
+        (scaled(-1.0, "rate_y", "rate_z"), ["the gyro is in FRD axes"]),
         (
             dead_without_commands,
             ["rotor 2 (back right; ", "reads 0.00 times the speed", "rotor_speed_fault"],

@@ -23,6 +23,8 @@ ALLOWED = {
         "motor_lag", "rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift",
         "thrust_constant", "inertia", "gust",
     },
+    "flights/health/power.py": {"battery_sag"},  # the name of a statement about a flight
+    "flights/readers/blackbox_fields.py": {"gyro_scale"},  # a key of a blackbox header
     "flights/quality/rotor_balance.py": {"rotor_speed_fault"},  # the name of a finding in reports
     "runtime/control/rti/problem.py": {"thrust_constant"},  # a field of the C struct
     "sitl_mock/vehicle/plant.py": {"torque_constant", "gyro_bias"},  # constants of the mock's own sensors and battery
