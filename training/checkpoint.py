@@ -42,6 +42,7 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import effect_files_in, parse_vehicle, with_texts
 from training.card import Card
 from training.config import ModelConfig
+from training.foreign_network import ONLY_OURS, is_state_dict, kind_of_file
 from training.networks import build_network
 
 FORMAT, VERSION = "alula model", 2
@@ -155,6 +156,8 @@ def write_atomically(content: dict[str, Any], path: Path) -> None:
 
 def read_content(path: Path) -> dict[str, Any]:
     """The dictionary that `torch.save` wrote. Raises RequestError for a file that is missing or cannot be read so."""
+    if foreign := kind_of_file(path):
+        raise RequestError(f"{path} is {foreign} of another tool. {ONLY_OURS}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # about pickles, which are refused below
@@ -189,6 +192,8 @@ def load(path: str | Path) -> TrainedModel:
     """
     path = Path(path)
     content = read_content(path)
+    if is_state_dict(content):
+        raise RequestError(f"{path} holds the weights of a torch module alone. {ONLY_OURS}")
     if content.get("format") != FORMAT:
         raise RequestError(
             f"{path} is no model of alula: its format is {content.get('format')!r}, required is {FORMAT!r}."
