@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 
@@ -70,22 +71,38 @@ def _is_another_axis(one: Floats, own: Floats, another: Floats) -> bool:
     return agreeing > max(_CLEAR_AGREEMENT, abs(agreement(one, own)) + _CLEARER)
 
 
+def correlations(one: Floats, other: Floats, shifts: NDArray[np.int_]) -> Floats:
+    """Correlation about zero of two signals (n, k) and (m, k) over the rows that both have, at each of the shifts.
+
+    shifts: rows of the first signal before the second one's first row. Rows that are not finite count nowhere.
+    """
+    length = 1 << (len(one) + len(other) - 1).bit_length()
+
+    def spectrum(values: Floats) -> NDArray[np.complex128]:
+        return np.fft.rfft(values, length, axis=0)
+
+    def at_shifts(product: NDArray[np.complex128]) -> Floats:
+        return np.asarray(np.fft.irfft(product, length, axis=0)[shifts % length])
+
+    masks = [np.isfinite(values).all(axis=1) for values in (one, other)]
+    a, b = (np.where(mask[:, None], values, 0.0) for mask, values in zip(masks, (one, other), strict=True))
+    product = at_shifts((spectrum(a) * spectrum(b).conj()).sum(axis=1))
+    power_a = at_shifts(spectrum((a**2).sum(axis=1)) * spectrum(masks[1].astype(float)).conj())
+    power_b = at_shifts(spectrum(masks[0].astype(float)) * spectrum((b**2).sum(axis=1)).conj())
+    size = np.sqrt(np.maximum(power_a, 0.0) * np.maximum(power_b, 0.0))
+    smallest = 1e-9 * float(np.sqrt(np.sum(a**2) * np.sum(b**2)))  # below, nothing but rounding is in it
+    return np.where(size > smallest, product / np.where(size > smallest, size, 1.0), 0.0)
+
+
 def offset(one: Floats, other: Floats, reach: int, smallest: float) -> tuple[int, float]:
     """By how many rows the other is late, and the rise of their correlation at that shift; zeros where none is clear.
 
     reach: rows that are tried either way. smallest: RMS below which neither tells.
     """
-    best, plain, at = -1.0, 0.0, 0
-    if len(one) <= 2 * reach:
+    pair = both(one, other) if len(one) > 2 * reach else None
+    if pair is None or min(map(rms, pair)) < smallest:
         return 0, 0.0
-    for shift in range(-reach, reach + 1):
-        a = one[max(-shift, 0) : len(one) - max(shift, 0)]
-        b = other[max(shift, 0) : len(other) - max(-shift, 0)]
-        pair = both(a, b)
-        if pair is None or min(map(rms, pair)) < smallest:
-            return 0, 0.0
-        agreeing = agreement(*pair)
-        plain = agreeing if shift == 0 else plain
-        if agreeing > best:
-            best, at = agreeing, shift
-    return (at, best - plain) if best > _CLEAR_AGREEMENT else (0, 0.0)
+    late = np.arange(-reach, reach + 1)
+    agreeing = correlations(one, other, -late)
+    best = int(np.argmax(agreeing))
+    return (int(late[best]), float(agreeing[best] - agreeing[reach])) if agreeing[best] > _CLEAR_AGREEMENT else (0, 0.0)

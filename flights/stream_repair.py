@@ -21,6 +21,7 @@ from flights.quantities import QUANTITIES
 
 TIME = "time"  # the time of all quantities
 _AXES = {"x": (0, 1.0), "y": (1, 1.0), "z": (2, 1.0), "-x": (0, -1.0), "-y": (1, -1.0), "-z": (2, -1.0)}
+_ATTITUDE = ("w", "x", "y", "z")
 _ORTHOGONAL = 1e-3  # by which the rows of a matrix may miss being unit vectors at right angles
 _MIN_FOR_PERIOD = 3  # samples, or bursts
 _BURST_STEP = 0.25  # of the mean period, beyond which a step is none within a burst
@@ -58,10 +59,14 @@ class StreamRepair(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
             raise RequestError(f"unknown quantity {self.quantity!r}{nearest(self.quantity, names)}.")
         if not (np.isfinite(self.scale) and self.scale != 0.0 and np.isfinite(self.late)):
             raise RequestError(f"{self.quantity}: scale and late must be finite, and scale not 0.")
-        is_attitude = self.quantity.startswith("attitude") and self.quantity in QUANTITIES
+        if self.quantity == TIME and (self.scale < 0.0 or self.late or self.even):
+            raise RequestError(f"{TIME}: give a scale above 0 and no more; late and even are of one quantity.")
+        is_attitude = self._parts == _ATTITUDE
         for name in ("order", "conjugate", "body_axes", "body_turn"):
             if getattr(self, name) and not is_attitude:
                 raise RequestError(f"{self.quantity} is no attitude: leave {name} out.")
+        if is_attitude and self.scale != 1.0:
+            raise RequestError(f"{self.quantity} is of unit length: leave scale out.")
         if self.order not in ("", "wxyz", "xyzw"):
             raise RequestError(f"{self.quantity}: order {self.order!r} does not fit; give 'wxyz' or 'xyzw'.")
         if (self.axes or self.turn) and not is_attitude and self._parts != ("x", "y", "z"):
@@ -104,24 +109,25 @@ def matrix_of(axes: Sequence[str], turn: Sequence[Sequence[float]], quantity: st
 
 
 def repaired(content: LogContent, repairs: Sequence[StreamRepair]) -> LogContent:
-    """The content with its streams repaired, which its own list of repairs says. Raises DataError as `_apply` does."""
+    """The content with its streams repaired, which its own list of repairs says.
+
+    Raises DataError for a repair of a quantity that it does not have.
+    """
     streams = list(content.streams)
     for repair in repairs:
-        concerned = [i for i, s in enumerate(streams) if repair.quantity in (TIME, s.name)]
-        if not concerned:
+        if repair.quantity != TIME and all(stream.name != repair.quantity for stream in streams):
             raise DataError(f"the mapping repairs {repair.quantity}, which is not in this log. Leave that repair out.")
-        for i in concerned:
-            streams[i] = apply(streams[i], repair)
-    repairs_done = tuple(Repair("mapped_repair", _summary(repair)) for repair in repairs)
-    return replace(content, streams=tuple(streams), repairs=(*content.repairs, *repairs_done))
+        streams = [apply(s, repair) if repair.quantity in (TIME, s.name) else s for s in streams]
+    made = (Repair("mapped_repair", _summary(repair)) for repair in repairs)
+    return replace(content, streams=tuple(streams), repairs=(*content.repairs, *made))
 
 
 def apply(stream: Stream, repair: StreamRepair) -> Stream:
-    """A stream, repaired. Raises DataError where a scale leaves no finite time."""
+    """A stream, repaired."""
     time, values = stream.time, stream.values
     if repair.quantity == TIME:
         return replace(stream, time=time * repair.scale)
-    if stream.quantity.kind == "attitude" or stream.name == "attitude_setpoint":
+    if stream.quantity.parts == _ATTITUDE:
         values = _attitude(values, repair)
     else:
         values = values * repair.scale

@@ -18,7 +18,7 @@ from flights.source import TimeSpan
 UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MIN_RATE, MAX_RATE = 1.2, 20_000.0  # Hz; no table with an attitude or an IMU has fewer or more rows a second
 MIN_RATE_OF_POSITION = 0.33  # Hz; a table of position alone may be slower
-_FAST = ("attitude", "rate", "specific_force")
+FAST = ("attitude", "rate", "specific_force")
 USUAL_RATES = (10.0, 1_200.0)
 _DAY = 86_400.0
 _SECONDS = re.compile(r"(?:.*[._ ])?(?:tv_)?(?:sec|secs|seconds)$", re.IGNORECASE)
@@ -113,6 +113,18 @@ def is_text(cells: Sequence[str]) -> bool:
     return bool(filled) and is_clock(filled[0])
 
 
+def rates_of(period: float) -> dict[str, float]:
+    """The rate of rows, Hz, by the unit that their period is in."""
+    return {unit: 1.0 / (period * size) for unit, size in UNITS.items()}
+
+
+def units_of(period: float) -> list[str]:
+    """Units in which a period between rows is that of a flight log: a usual one, or else any that there is."""
+    rates = rates_of(period)
+    usual = [unit for unit, rate in rates.items() if USUAL_RATES[0] <= rate <= USUAL_RATES[1]]
+    return usual or [unit for unit, rate in rates.items() if MIN_RATE <= rate <= MAX_RATE]
+
+
 def unit_by_rate(stamps: Floats, column: str, names: Sequence[str]) -> tuple[float, str]:
     """The unit of a table's stamps in which its rate is a flight's, s, and its name; seconds where that may be.
 
@@ -124,12 +136,11 @@ def unit_by_rate(stamps: Floats, column: str, names: Sequence[str]) -> tuple[flo
     if not len(steps):
         return 1.0, "s"
     period = float(np.median(steps))
-    rates = {unit: 1.0 / (period * size) for unit, size in UNITS.items()}
-    is_fast = any((quantity := quantity_of(name)) is not None and quantity.name in _FAST for name in names)
+    rates = rates_of(period)
+    is_fast = any((quantity := quantity_of(name)) is not None and quantity.name in FAST for name in names)
     if rates["s"] > (MIN_RATE if is_fast else MIN_RATE_OF_POSITION):
         return 1.0, "s"
-    usual = [unit for unit, rate in rates.items() if USUAL_RATES[0] <= rate <= USUAL_RATES[1]]
-    possible = usual or [unit for unit, rate in rates.items() if MIN_RATE <= rate <= MAX_RATE]
+    possible = units_of(period)
     if len(possible) == 1:
         return UNITS[possible[0]], possible[0]
     shown = " or ".join(f"{unit} ({rates[unit]:.3g} Hz)" for unit in possible) or "none of s, ms, us, ns"

@@ -18,14 +18,16 @@ _ONE_MOTION = 0.7  # share of a velocity that the position's change explains whe
 _GAIN = 0.1  # of the score, by which another reading must be better than the declared one
 
 
-def of_pose(streams: Streams) -> list[Hypothesis]:
+def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
     """How pose and sensors lie, where that is other than declared."""
-    motion = Motion.of(streams)
-    as_declared, ways = pose.declared(motion), pose.readings(motion)
-    if as_declared is None or not ways:
+    as_declared = pose.declared(motion)
+    if as_declared is None:
         return []
     gain = _GAIN if not as_declared.assumptions else 0.0
-    reading = ways[0] if ways[0].score > as_declared.score + gain else as_declared
+    reading = as_declared
+    if as_declared.score + gain < 1.0:  # none scores more
+        others = pose.others(motion)
+        reading = next((one for one in others if one.score > as_declared.score + gain), as_declared)
     if not reading.closures or max(reading.closures) < CLOSES:
         return []
     lateral = pose.lateral_turn(motion, reading)
@@ -46,9 +48,8 @@ def of_pose(streams: Streams) -> list[Hypothesis]:
     return [Hypothesis(_name(reading, turns), _text(reading, turns), evidence, tuple(repairs))]
 
 
-def of_velocity(streams: Streams) -> list[Hypothesis]:
+def of_velocity(streams: Streams, motion: Motion) -> list[Hypothesis]:
     """A velocity along other axes than the position's change; that of both is wrong which the sensors contradict."""
-    motion = Motion.of(streams)
     if not motion.has("position", "velocity"):
         return []
     pair = both(motion.moved, motion.velocity)
@@ -63,7 +64,13 @@ def of_velocity(streams: Streams) -> list[Hypothesis]:
         Hypothesis(f"{name}_frame", f"the {name} has {_known_axes(turn.T, name)}", evidence, (_turned(name, turn),))
         for name, turn in ways
     ]
-    return [next((one for one in hypotheses if not of_pose(after(streams, one))), hypotheses[0])]
+    consistent = (one for one in hypotheses if _is_consistent(after(streams, one)))
+    return [next(consistent, hypotheses[0])]
+
+
+def _is_consistent(streams: Streams) -> bool:
+    """Whether pose and sensors lie as declared."""
+    return not of_pose(streams, Motion.of(streams))
 
 
 def _pose_repairs(reading: Reading, turns: Turns, streams: Streams) -> list[StreamRepair]:

@@ -7,17 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from dynamics.arrays import Floats
+from flights.agreement import correlations
 from flights.alignment import resample
 from flights.hypotheses.hypothesis import Hypothesis, Streams
 from flights.hypotheses.motion import GRID_RATE, MAX_ROWS, Motion
 from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
 from flights.stream_repair import TIME, StreamRepair, evenly
+from flights.table_time import FAST, MAX_RATE, MIN_RATE, MIN_RATE_OF_POSITION, UNITS, units_of
 
-_SLOWEST = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s, of any log
-_FASTEST = 1 / 20_000  # s
-_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_USUAL = (1 / 20_000, 0.5)  # s between samples of a flight log
 _BURST = 0.25  # of the mean period, below which a step belongs to a burst; jitter of a scheduler does not come so close
 _BURST_SHARE = 0.3  # of the steps
 _MIN_SAMPLES = 100
@@ -29,8 +27,9 @@ _REACH = 60.0  # s by which clocks may differ
 _MIN_OVERLAP = 10.0  # s that are compared
 _CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
 _FOLLOWS = 0.7  # correlation of the sizes of turning and rates at the right shift,
-_BETTER = 0.15  # and by which it exceeds that without, and
+_BETTER = 0.05  # by which it exceeds that without (others' logs of one clock: 0.016 at most), and
 _UNIQUE = 0.03  # that at any other shift further than a second
+_SMALL = 0.5  # s, a shift that is likelier than a larger one: a periodic flight fits itself a period later
 
 
 def bursts(streams: Streams) -> list[Hypothesis]:
@@ -66,25 +65,26 @@ def bursts(streams: Streams) -> list[Hypothesis]:
 
 
 def time_unit(streams: Streams) -> list[Hypothesis]:
-    """A time that is in no seconds, by a rate that no flight log has."""
-    slow = {n: s.period for n, s in streams.items() if n in _SLOWEST and _SLOWEST[n] < s.period < np.inf}
-    fast = {n: s.period for n, s in streams.items() if n in _SLOWEST and s.period < _FASTEST}
-    if slow:
-        name, period = min(slow.items(), key=lambda item: item[1])
-        unit = next((u for u, f in _UNITS.items() if _USUAL[0] <= period * f <= _USUAL[1]), None)
-        if unit is None:
+    """A time that is not in seconds, by a rate that no flight log has."""
+    periods = {name: streams[name].period for name in MOTION if name in streams and np.isfinite(streams[name].period)}
+    slowest = {name: 1 / (MIN_RATE if name in FAST else MIN_RATE_OF_POSITION) for name in periods}
+    name = min(periods, key=lambda name: periods[name], default="")
+    if not name:
+        return []
+    if any(periods[one] > slowest[one] for one in periods):
+        units = [unit for unit in units_of(periods[name]) if unit != "s"]
+        if len(units) != 1:
             return []
-        text = f"the time is in {unit}, not in seconds"
-        evidence = f"{name} comes every {period:.4g}, which are {1e3 * period * _UNITS[unit]:.3g} ms"
-        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=_UNITS[unit]),))]
-    if fast and not bursts(streams):
-        name, period = max(fast.items(), key=lambda item: item[1])
-        unit = next((u for u, f in _UNITS.items() if _USUAL[0] <= period / f <= _USUAL[1]), None)
-        if unit is None:
+        text = f"the time is in {units[0]}, not in seconds"
+        evidence = f"{name} comes every {periods[name]:.4g}, which are {1e3 * periods[name] * UNITS[units[0]]:.3g} ms"
+        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=UNITS[units[0]]),))]
+    if periods[name] * MAX_RATE < 1 and not bursts(streams):
+        factor = next((1 / size for size in UNITS.values() if units_of(periods[name] / size) == ["s"]), None)
+        if factor is None:
             return []
-        text = f"the time is too short by {1 / _UNITS[unit]:.0e}: it was taken for {unit} and is in seconds"
-        evidence = f"{name} comes every {period:.2g} s, which no sensor does"
-        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=1 / _UNITS[unit]),))]
+        text = f"the time is too short by a factor of {factor:.0e}"
+        evidence = f"{name} comes every {periods[name]:.2g} s, which no sensor does"
+        return [Hypothesis("time_unit", text, evidence, (StreamRepair(TIME, scale=factor),))]
     return []
 
 
@@ -113,7 +113,7 @@ def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, 
 
 
 def _sizes(stream: Stream) -> tuple[float, Floats] | None:
-    """Start, s, and (n,) sizes of a stream's motion, on a grid of its own; None for one that moves too little."""
+    """Start, s, and (n, 1) sizes of a stream's motion, on a grid of its own; None for one that moves too little."""
     seconds = min(float(stream.time[-1] - stream.time[0]), MAX_ROWS / GRID_RATE)
     if seconds < _MIN_OVERLAP:
         return None
@@ -125,11 +125,11 @@ def _sizes(stream: Stream) -> tuple[float, Floats] | None:
         "position": lambda: motion.moved,
         "velocity": lambda: motion.velocity,
     }
-    sizes = np.linalg.norm(vectors_of[stream.name](), axis=1)
-    finite = np.isfinite(sizes)
+    sizes = np.linalg.norm(vectors_of[stream.name](), axis=1, keepdims=True)
+    finite = np.isfinite(sizes[:, 0])
     if finite.mean() < _MIN_COVERED or not float(np.std(sizes[finite])) > _MIN_CHANGE:
         return None
-    return float(time[0]), np.where(finite, sizes, np.median(sizes[finite]))
+    return float(time[0]), np.where(finite[:, None], sizes, np.median(sizes[finite]))
 
 
 def _best_shift(one: Floats, other: Floats, declared: int) -> tuple[int, float, float]:
@@ -143,25 +143,15 @@ def _best_shift(one: Floats, other: Floats, declared: int) -> tuple[int, float, 
     candidates = range(max(around - reach, -len(other) + overlap), min(around + reach, len(one) - overlap) + 1)
     if not candidates:
         return declared, 0.0, 0.0
-    scores = _correlations(one, other, np.array(candidates))
+    scores = correlations(one - one.mean(), other - other.mean(), np.array(candidates))
     best = int(np.argmax(scores))
     there = int(declared - candidates[0])
     without = float(scores[there]) if 0 <= there < len(scores) else 0.0
+    small = np.flatnonzero(np.abs(np.arange(len(scores)) - there) <= _SMALL * GRID_RATE)
+    if len(small) and scores[small].max() > scores[best] - _UNIQUE:  # of two that fit as well the smaller one
+        best = int(small[np.argmax(scores[small])])
+        return candidates[best], float(scores[best]), without
     far = np.abs(np.arange(len(scores)) - best) > GRID_RATE
     if far.any() and scores[far].max() > scores[best] - _UNIQUE:
         return declared, without, without
     return candidates[best], float(scores[best]), without
-
-
-def _correlations(one: Floats, other: Floats, shifts: np.ndarray) -> Floats:
-    """Correlation of two signals where the other begins so many rows after one; over their overlap."""
-    from scipy.signal import correlate
-
-    one, other = one - one.mean(), other - other.mean()
-    lags = np.arange(-len(other) + 1, len(one))
-    product = correlate(one, other, method="fft")
-    power_one = correlate(one**2, np.ones_like(other), method="fft")
-    power_other = correlate(np.ones_like(one), other**2, method="fft")
-    at = np.searchsorted(lags, shifts)
-    size = np.sqrt(np.maximum(power_one[at] * power_other[at], 1e-12))
-    return np.asarray(product[at] / size)

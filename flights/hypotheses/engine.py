@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from dynamics.vehicle import GRAVITY
 from flights import plausibility
 from flights.hypotheses import axes, clocks, pose, scales
 from flights.hypotheses.hypothesis import Hypothesis, Streams, after
@@ -36,16 +37,22 @@ def explain(streams: Sequence[Stream]) -> tuple[Hypothesis, ...]:
     if in_the_world is not None:
         hypotheses.append(Hypothesis(in_the_world.name, in_the_world.text, "", ()))
         del first["specific_force"]
-    for step in _STEPS:
-        for hypothesis in step(first):
+    for clock_step in (clocks.bursts, clocks.time_unit, clocks.offsets):
+        for hypothesis in clock_step(first):
             hypotheses.append(hypothesis)
             first = after(first, hypothesis)
+    motion = Motion.of(first)
+    for step in _STEPS:
+        steps = step(first, motion)
+        for hypothesis in steps:
+            hypotheses.append(hypothesis)
+            first = after(first, hypothesis)
+        motion = Motion.of(first) if steps else motion
     rest = plausibility.check(list(first.values()))
     return (*hypotheses, *(Hypothesis(one.name, one.text, "", ()) for one in rest))
 
 
-def _gyro_unit(streams: Streams) -> list[Hypothesis]:
-    motion = Motion.of(streams)
+def _gyro_unit(_: Streams, motion: Motion) -> list[Hypothesis]:
     if not motion.has("attitude", "rate"):
         return []
     compared = scales.of_lengths(motion.rate, motion.turning(motion.values["attitude"]), pose.MIN_TURNING)
@@ -67,18 +74,21 @@ def _factor(size: float) -> float:
     return float(f"{1 / size:.6g}")
 
 
-def _force_unit(streams: Streams) -> list[Hypothesis]:
-    scale = scales.gravity_scale(streams["specific_force"].values) if "specific_force" in streams else None
-    if scale is None:
+def _force_unit(streams: Streams, _: Motion) -> list[Hypothesis]:
+    usual = scales.usual_force(streams["specific_force"].values) if "specific_force" in streams else np.nan
+    scale = scales.named(usual / GRAVITY, scales.FORCES, scales.NEAR_GRAVITY)
+    if scale is None or not scale[0]:
         return []
-    name = "force_in_g" if scale.unit == "g" else "force_unit"
-    repair = StreamRepair("specific_force", scale=_factor(1 / scale.factor))
-    return [Hypothesis(name, f"the specific force is in {scale.unit}", f"{scale.evidence}, wanted 9.81", (repair,))]
+    unit, size = scale
+    evidence = f"its usual size in flight is {usual:.4g}, wanted {GRAVITY}"
+    repair = StreamRepair("specific_force", scale=_factor(size))
+    name = "force_in_g" if unit == "g" else "force_unit"
+    return [Hypothesis(name, f"the specific force is in {unit}", evidence, (repair,))]
 
 
-def _lengths(streams: Streams) -> list[Hypothesis]:
+def _lengths(streams: Streams, motion: Motion) -> list[Hypothesis]:
     """Units of velocity and position, by the specific force in the world, by each other, or by what can fly."""
-    motion, hypotheses = Motion.of(streams), list[Hypothesis]()
+    hypotheses: list[Hypothesis] = []
     reading = pose.declared(motion)
     against_force = None if reading is None else reading.world
     is_compared = against_force is not None and against_force.closed > CLOSES
@@ -92,13 +102,12 @@ def _lengths(streams: Streams) -> list[Hypothesis]:
     else:
         hypotheses += _impossible(motion, faster)
     if faster == "velocity" and "position" in streams:
-        hypotheses += _against_velocity(after(streams, hypotheses[0]) if hypotheses else streams)
+        hypotheses += _against_velocity(Motion.of(after(streams, hypotheses[0])) if hypotheses else motion)
     return hypotheses
 
 
-def _against_velocity(streams: Streams) -> list[Hypothesis]:
+def _against_velocity(motion: Motion) -> list[Hypothesis]:
     """Units of position and velocity by each other: which of both is in a unit that people use."""
-    motion = Motion.of(streams)
     compared = scales.of_lengths(motion.moved, motion.velocity, MIN_SPEED)
     if compared is None or not _is_clear(*compared):
         return []
@@ -136,6 +145,6 @@ def _impossible(motion: Motion, quantity: str) -> list[Hypothesis]:
     ]
 
 
-_STEPS: tuple[Callable[[Streams], list[Hypothesis]], ...] = (
-    clocks.bursts, clocks.time_unit, clocks.offsets, _gyro_unit, _force_unit, axes.of_velocity, axes.of_pose, _lengths,
+_STEPS: tuple[Callable[[Streams, Motion], list[Hypothesis]], ...] = (
+    _gyro_unit, _force_unit, axes.of_velocity, axes.of_pose, _lengths,
 )  # fmt: skip

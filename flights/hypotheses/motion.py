@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import SAME_SIZE
 from flights.alignment import resample
+from flights.hypotheses.scales import usual_force
 from flights.log import Stream, spanning_streams
 from flights.quantities import MOTION
 
@@ -42,7 +44,10 @@ class Motion:
         count = int(min((end - start) * GRID_RATE + 1, MAX_ROWS))
         grid = np.asarray(start + np.arange(count) / GRID_RATE)
         values = {name: resample(streams[name], grid) for name in MOTION if name in streams}
-        if "specific_force" in values and not _holds_gravity(values["specific_force"]):
+        if (
+            "specific_force" in values
+            and not SAME_SIZE[0] < usual_force(values["specific_force"]) / GRAVITY < SAME_SIZE[1]
+        ):
             del values["specific_force"]  # whatever it is, no axes can be told from it
         return cls(values)
 
@@ -50,27 +55,27 @@ class Motion:
         """Whether all of these quantities are there."""
         return set(names) <= self.values.keys()
 
-    @property
+    @cached_property
     def rate(self) -> Floats:
         """(m, 3) mean body rates."""
         return span_mean(span_mean(self.values["rate"]))
 
-    @property
+    @cached_property
     def force(self) -> Floats:
         """(m, 3) mean specific force along the axes of its sensor."""
         return span_mean(span_mean(self.values["specific_force"]))
 
-    @property
+    @cached_property
     def moved(self) -> Floats:
         """(m, 3) mean change of position, per s."""
         return span_mean(change(self.values["position"]))
 
-    @property
+    @cached_property
     def velocity(self) -> Floats:
         """(m, 3) mean velocity."""
         return span_mean(span_mean(self.values["velocity"]))
 
-    @property
+    @cached_property
     def acceleration(self) -> Floats | None:
         """(m, 3) acceleration in the axes of the pose, of the velocity, or of the position where there is none."""
         if "velocity" in self.values:
@@ -91,12 +96,6 @@ class Motion:
         force = self.values.get("specific_force")
         body = (GRAVITY * _UP if force is None else force) @ sensor_to_body.T
         return span_mean(span_mean(quaternion.rotate(attitude, body)))
-
-
-def _holds_gravity(force: Floats) -> bool:
-    finite = force[np.isfinite(force).all(axis=1)]
-    usual = float(np.linalg.norm(np.median(finite, axis=0))) if len(finite) else 0.0
-    return SAME_SIZE[0] < usual / GRAVITY < SAME_SIZE[1]
 
 
 def change(values: Floats) -> Floats:

@@ -102,20 +102,18 @@ def upright(direction: Floats) -> bool:
     return bool(direction[2] > np.cos(UPRIGHT))
 
 
-def readings(motion: Motion) -> list[Reading]:
-    """All ways to read the attitude, the best first; empty without one or without motion to judge by."""
-    if not motion.has("attitude"):
-        return []
-    ways = [(order, conjugate) for order in ("wxyz", "xyzw") for conjugate in (False, True)]
-    read = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate=conjugate)]
-    return sorted((one for one in read if one.closures), key=lambda one: -one.score)
-
-
 def declared(motion: Motion) -> Reading | None:
     """The reading that the log declares, with the turns that the motion shows."""
     if not motion.has("attitude"):
         return None
     return max(_read(motion, "wxyz", conjugate=False), key=lambda one: one.score)
+
+
+def others(motion: Motion) -> list[Reading]:
+    """Readings by another order or sense of the attitude, the best first."""
+    ways = [("wxyz", True), ("xyzw", False), ("xyzw", True)]
+    read = [reading for order, conjugate in ways for reading in _read(motion, order, conjugate=conjugate)]
+    return sorted((one for one in read if one.closures), key=lambda one: -one.score)
 
 
 def _read(motion: Motion, order: str, *, conjugate: bool) -> list[Reading]:

@@ -22,6 +22,19 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # x, z, -
 USUAL = (np.eye(3), FRD, NED, Y_UP, Y_UP.T)
 
 
+def _whole_axes(hand: float) -> Floats:
+    """(24, 3, 3) all turns of one hand that carry axes into axes."""
+    signed = [
+        np.array(signs)[:, None] * np.eye(3)[list(order)]
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((1.0, -1.0), repeat=3)
+    ]
+    return np.array([turn for turn in signed if np.linalg.det(turn) * hand > 0])
+
+
+WHOLE_AXES = {True: _whole_axes(1.0), False: _whole_axes(-1.0)}  # right-handed, left-handed
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """y = gain * turn @ x of vectors seen in two sets of axes.
@@ -107,17 +120,6 @@ def shortest_turn(start: Floats, end: Floats) -> Floats:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
-def whole_axes() -> tuple[Floats, ...]:
-    """All 48 turns and mirrored ones that carry axes into axes."""
-    turns = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            turn = np.zeros((3, 3))
-            turn[range(3), order] = signs
-            turns.append(turn)
-    return tuple(turns)
-
-
 def snapped(turn: Floats, snap: float = SNAP) -> Floats:
     """The turn (3, 3), or that of whole axes within an angle, rad, of it; of those of one hand."""
     nearest = _nearest(turn)
@@ -125,8 +127,9 @@ def snapped(turn: Floats, snap: float = SNAP) -> Floats:
 
 
 def _nearest(turn: Floats) -> Floats:
-    same = [axes for axes in whole_axes() if np.linalg.det(axes) * np.linalg.det(turn) > 0]
-    return min(same, key=lambda axes: angle_between(axes, turn))
+    """The whole axes of one hand with a turn (3, 3) that are nearest to it."""
+    whole = WHOLE_AXES[np.linalg.det(turn) > 0]
+    return np.array(whole[int(np.argmax(np.einsum("aij,ij->a", whole, turn)))])
 
 
 def _is_repeated(turn: Floats, x: Floats, y: Floats) -> bool:

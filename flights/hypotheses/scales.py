@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,25 +15,10 @@ LENGTHS: Mapping[str, float] = {"mm": 1000.0, "cm": 100.0, "ft": 1 / 0.3048, "in
 ANGLES: Mapping[str, float] = {"deg": 180 / np.pi, "mrad": 1000.0, "mdeg": 180_000 / np.pi, "rev": 0.5 / np.pi}
 FORCES: Mapping[str, float] = {"g": 1 / GRAVITY, "mg": 1000 / GRAVITY, "cm/s^2": 100.0, "mm/s^2": 1000.0}
 NEAR = 0.15  # of a unit's size, within which a ratio is that unit
-_NEAR_GRAVITY = 0.4  # the same of the usual specific force, which brisk flights change
+NEAR_GRAVITY = 0.4  # the same of the usual specific force, which brisk flights change
 _MIN_ROWS = 20  # from which on there is a usual size
 SAME = 0.25  # of 1, within which a ratio is no other unit
 MAX_FACTOR = 1.8  # by which noise, a filter or a wrong thrust constant may change a size; beyond, it is a scale
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A quantity whose values are in another unit.
-
-    factor: by which it must be multiplied.
-    unit: its name, empty where the factor fits none.
-    evidence: what it is compared with.
-    """
-
-    quantity: str
-    factor: float
-    unit: str
-    evidence: str
 
 
 def named(ratio: float, units: Mapping[str, float], near: float = NEAR) -> tuple[str, float] | None:
@@ -64,13 +48,7 @@ def of_lengths(one: Floats, other: Floats, smallest: float) -> tuple[float, floa
     return float(np.sqrt(np.sum(sizes[0] ** 2) / np.sum(sizes[1] ** 2))), following
 
 
-def gravity_scale(force: Floats) -> Scale | None:
-    """Unit of the specific force (n, 3), whose usual vector in flight is of gravity's size."""
+def usual_force(force: Floats) -> float:
+    """Size of the usual vector of the specific force (n, 3), which is gravity's in flight; NaN of too few rows."""
     force = force[np.isfinite(force).all(axis=1)]
-    if len(force) < _MIN_ROWS:
-        return None
-    usual = float(np.linalg.norm(np.median(force, axis=0))) / GRAVITY
-    scale = named(usual, FORCES, _NEAR_GRAVITY)
-    if scale is None or not scale[0]:
-        return None
-    return Scale("specific_force", 1 / scale[1], scale[0], f"its usual size in flight is {usual * GRAVITY:.4g}")
+    return float(np.linalg.norm(np.median(force, axis=0))) if len(force) >= _MIN_ROWS else float("nan")
