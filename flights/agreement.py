@@ -84,8 +84,8 @@ def correlations(one: Floats, other: Floats, shifts: NDArray[np.int_]) -> Floats
     def at_shifts(product: NDArray[np.complex128]) -> Floats:
         return np.asarray(np.fft.irfft(product, length, axis=0)[shifts % length])
 
-    masks = [np.isfinite(values).all(axis=1) for values in (one, other)]
-    a, b = (np.where(mask[:, None], values, 0.0) for mask, values in zip(masks, (one, other), strict=True))
+    masks = [np.asarray(np.isfinite(values).all(axis=1)) for values in (one, other)]
+    a, b = (np.where(mask.reshape(-1, 1), values, 0.0) for mask, values in zip(masks, (one, other), strict=True))
     product = at_shifts((spectrum(a) * spectrum(b).conj()).sum(axis=1))
     power_a = at_shifts(spectrum((a**2).sum(axis=1)) * spectrum(masks[1].astype(float)).conj())
     power_b = at_shifts(spectrum(masks[0].astype(float)) * spectrum((b**2).sum(axis=1)).conj())

@@ -22,7 +22,8 @@ CAMPAIGN, TRAINING_FLIGHTS = (
     "train",
 )  # a campaign's recipe, and the folder of its flights to learn from
 # By such a name an empty file is a damaged log, not something else.
-SUFFIXES = (".ulg", ".ulge", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog", ".csv", ".parquet", ".log")
+LOGGED = (".ulg", ".ulge", ".mcap", ".bag", ".db3", ".bin", ".bbl", ".bfl", ".tlog")  # names that nothing else has
+SUFFIXES = (*LOGGED, ".csv", ".parquet", ".log")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynamics.errors import DataError, RequestError
 from flights import pose_source
 from flights.events import Event
-from flights.hypotheses import explain
+from flights.hypotheses import explain, in_words
 from flights.log import Log, Provenance, Stream, spanning_streams
 from flights.reading import read_log
 
@@ -44,9 +44,9 @@ def join(logs: Sequence[Log]) -> Log:
         for stream in log.streams
     ]
     noted = {note for log in logs for note in log.provenance.notes}
-    for hypothesis in explain(streams):
-        if str(hypothesis) not in noted:
-            raise DataError(f"{_path(logs)}, as files of one flight: {hypothesis}")
+    further = [hypothesis for hypothesis in explain(streams) if str(hypothesis) not in noted]
+    if further:
+        raise DataError(f"{_path(logs)}, as files of one flight: {in_words(further)}")
     start = min(float(stream.time[0]) for stream in spanning_streams(streams))
     events = [
         Event(round(event.time + log.start - logs[0].start - start, 6), event.kind, event.text)

@@ -19,7 +19,7 @@ ONLY_OURS = (
 
 
 def kind_of_file(path: Path) -> str:
-    """What another tool's file is, for people; empty for one that is none that is known."""
+    """Name of another tool's kind of network, for people; empty for a file that is none."""
     try:
         with path.open("rb") as file:
             head = file.read(16)

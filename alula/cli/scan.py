@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 
@@ -14,9 +14,6 @@ from alula.cli.output import command
 from alula.cli.progress import counting_bar
 from dynamics.errors import DataError, RequestError
 from dynamics.version import VERSION_KEY, __version__
-
-# names of logs that no table or picture has: such a file that is no log is a line with an error
-LOG_SUFFIXES = (".ulg", ".ulge", ".bin", ".tlog", ".mcap", ".bag", ".db3", ".bbl")
 
 
 def scan(
@@ -31,19 +28,19 @@ def scan(
     from alula.workbench import workbench
 
     with workbench("alula scan"):
-        from flights.folder import folder_content
+        from flights.folder import LOGGED, folder_content
         from flights.health.scan import scanned
         from flights.parallel import parallel_map
     if not folder.is_dir():
         raise RequestError(f"{folder} is no folder. Give a folder of logs, or one log to `alula inspect`.")
     content = folder_content(folder)
-    named = [path for path in content.others if path.name.removesuffix(".gz").endswith(LOG_SUFFIXES)]
+    named = [path for path in content.others if path.name.removesuffix(".gz").endswith(LOGGED)]
     logs = [str(path) for path in sorted((*content.logs, *named))]
     if not logs:
         raise RequestError(f"there is no log in {folder}. Give a folder of ULog, DataFlash, MCAP, CSV or other logs.")
     errors = 0
     console = Console(stderr=True)
-    stream = sys.stdout if out is None else out.open("w", encoding="utf-8")
+    stream = sys.stdout if out is None else _opened(out)
     try:
         with counting_bar(console) as bar:
             bar.disable = not console.is_terminal
@@ -60,7 +57,16 @@ def scan(
     print(f"next: {command('inspect', folder)}", file=sys.stderr)  # lines of JSON are on standard output
 
 
-def _write(line: dict[str, Any], stream: Any) -> None:
+def _opened(out: Path) -> TextIO:
+    try:
+        return out.open("w", encoding="utf-8")
+    except OSError as error:
+        raise RequestError(
+            f"cannot write {out}: {error.strerror or error}. Give --out a file that can be written."
+        ) from error
+
+
+def _write(line: dict[str, Any], stream: TextIO) -> None:
     """One line of strict JSON; numbers that are none become null."""
     stream.write(f"{json.dumps({**line, VERSION_KEY: __version__}, allow_nan=False)}\n")
     stream.flush()

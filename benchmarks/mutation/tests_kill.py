@@ -58,7 +58,7 @@ class Tree:
             ["git", "show", f"{self.commit}:{file}"], cwd=ROOT, capture_output=True, text=True, check=True
         ).stdout
 
-    def test_files(self, file: str) -> list[str]:
+    def files_of_tests(self, file: str) -> list[str]:
         """Test files that import a module, or what its package takes from it, among those of its room."""
         room, module = Path(file).parts[0], _module(file)
         package = module.rpartition(".")[0]
@@ -88,7 +88,7 @@ class Tree:
     def run(self, file: str, limit: int, mutant: str | None = None) -> tuple[int, float]:
         """(exit code of the tests, s of the processor), with a mutant in place of a file, which is put back."""
         path, original = self.folder / file, self.read(file)
-        tests = {"module": _module(file), "tests": self.test_files(file)}
+        tests = {"module": _module(file), "tests": self.files_of_tests(file)}
         request = {**tests, "limit": limit, "writes_bytecode": mutant is None}
         if mutant is not None:
             path.write_text(mutant)
@@ -132,7 +132,7 @@ def drawn_mutants(trees: Sequence[Tree]) -> dict[str, list[Key]]:
         draw.shuffle(names)
         for name in names:
             common = set.intersection(*(set(mutants(tree.read(name))) for tree in trees))
-            tested = all(1 <= len(tree.test_files(name)) <= MAX_TEST_FILES for tree in trees)
+            tested = all(1 <= len(tree.files_of_tests(name)) <= MAX_TEST_FILES for tree in trees)
             if tested and len(common) >= MIN_MUTANTS and name not in LEFT_OUT:
                 chosen[name] = draw.sample(sorted(common), PER_FILE)
             if sum(file.rpartition("/")[0] == room for file in chosen) == count:
@@ -167,7 +167,7 @@ class Run:
         if written not in self._done:
             code, seconds = tree.run(file, 100 * LIMIT)
             if code:
-                raise RequestError(f"{' '.join(tree.test_files(file))} fail in {tree.folder} (exit code {code}).")
+                raise RequestError(f"{' '.join(tree.files_of_tests(file))} fail in {tree.folder} (exit code {code}).")
             self._done[written] = {"key": written, "seconds": seconds}
             keep(self._results, self._done[written], line=f"{file} {tree.commit}: {seconds:.0f} s without a mutant")
         return float(self._done[written]["seconds"])
@@ -185,7 +185,7 @@ def _page(drawn: Mapping[str, list[Key]], results: Mapping[str, Mapping[str, Any
         of_file = [results[k] for key in keys if (k := _written(trees, file, key)) in results]
         counts = [len(of_file), sum(r["before"] for r in of_file), sum(r["after"] for r in of_file)]
         total = [a + b for a, b in zip(total, counts, strict=True)]
-        tests = ["/".join(str(len(tree.test_files(file))) for tree in trees.values())]
+        tests = ["/".join(str(len(tree.files_of_tests(file))) for tree in trees.values())]
         rows.append(f"| `{file}` | {' | '.join(map(str, [*tests, *counts]))} |")
         lost += [r["key"] for r in of_file if r["before"] and not r["after"]]
     count, before, after = total

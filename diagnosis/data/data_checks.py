@@ -7,17 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.data.filters import difference
+from diagnosis.data.misread_rotors import misread_rotors, misread_text, reading_shares, specific_thrust
 from diagnosis.data.rotor_moments import require_rotor_moments
-from diagnosis.data.rotor_units import misread_rotors, misread_text, reading_shares, specific_thrust, unit_of
 from diagnosis.data.segment import Segment
 from diagnosis.data.sensor_checks import require_range, require_velocity
 from diagnosis.thresholds import DEFAULT, DataChecks, Thresholds
 from dynamics.errors import DataError
 from dynamics.rotor_places import rotor_names
+from dynamics.speed_units import unit_of
 from dynamics.vehicle import GRAVITY, Vehicle
 from flights.quality.findings import Finding
-
-MIN_FOR_UNITS = 5.0  # s of flight that tell a unit
 
 
 def require_answerable(
@@ -29,7 +28,7 @@ def require_answerable(
     """
     limits = thresholds.data_checks
     duration = sum(s.duration for s in segments)
-    if duration >= MIN_FOR_UNITS:  # longer flights would have the same units
+    if duration >= thresholds.rotor_moments.min_flight:  # a longer flight would have the same units
         _require_thrust(segments, vehicle, limits)
     if duration < limits.min_duration:
         raise DataError(

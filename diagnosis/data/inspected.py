@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from diagnosis.data.misread_rotors import misread_rotors, misread_text, reading_shares
 from diagnosis.data.rotor_moments import compared_moments, rotor_gains
-from diagnosis.data.rotor_units import misread_rotors, misread_text, reading_shares
 from diagnosis.data.segment import Segment, battery_is_measured, segments
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError

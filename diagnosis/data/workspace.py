@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import msgspec
 
 Value = TypeVar("Value")
-UNBOUNDED = 1_000_000
 
 
 class Workspace:
@@ -20,12 +19,12 @@ class Workspace:
     def __init__(self) -> None:
         self._values: dict[str, dict[Hashable, Any]] = {}
 
-    def get(self, kind: str, key: Hashable, compute: Callable[[], Value], *, limit: int = UNBOUNDED) -> Value:
-        """The value of a key, computed where it is not there. limit: number of the kind that is held, the latest."""
+    def get(self, kind: str, key: Hashable, compute: Callable[[], Value], *, limit: int | None = None) -> Value:
+        """The value of a key, computed where it is not there. limit: of the latest of its kind that are held."""
         values = self._values.setdefault(kind, {})
         if key not in values:
             computed = compute()
-            if len(values) >= limit:
+            if limit is not None and len(values) >= limit:
                 del values[next(iter(values))]
             values[key] = computed
         value: Value = values[key]

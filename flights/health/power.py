@@ -110,7 +110,7 @@ def _sag(record: Record, series: Series, cells: int) -> Iterator[Statement]:
     )
     evidence = Evidence(record.start, record.start + 1 + REST, series.channel, share, "1", SAG.warning)
     advice = "measure the battery's internal resistance, look at its connectors; use one with a higher discharge rate"
-    yield Statement("battery_sag", level, "seen", text, evidence, advice=advice)
+    yield Statement("voltage_sag", level, "seen", text, evidence, advice=advice)
 
 
 def margin_statements(record: Record) -> Iterator[Statement]:

@@ -25,13 +25,13 @@ from flights.health.power import battery_statements, margin_statements
 from flights.health.record import AutopilotSeries, Record, build_record
 from flights.health.rotors import balance_statements, lost_control, stopped_statement
 from flights.log import Log
-from flights.source import opened
+from flights.reading import opened_log
 
 ORDER: Sequence[Level] = ("fault", "warning", "note")
 SAME_TIME = 1.0  # s within which a cause comes before what it makes happen
 SHOWN = 3  # further things in a sentence
 # what makes other things happen comes before what follows from it, where both begin at once
-CAUSES = ("esc_failure", "stopped_rotor", "weak_rotor", "reported_fd_motor", "battery_sag", "battery_low", "gps_lost",
+CAUSES = ("esc_failure", "stopped_rotor", "weak_thrust", "reported_fd_motor", "voltage_sag", "battery_low", "gps_lost",
           "oscillation", "vibration", "clipping", "impact", "rejects_", "saturation", "lost_control",
           "reported_")  # fmt: skip
 READERS = {"PX4 ULog": px4.read, "ArduPilot DataFlash log": ardupilot.read}
@@ -43,7 +43,7 @@ def read_health(log: Log) -> Health:
     autopilot = AutopilotSeries()
     if reader is not None:
         try:
-            with opened(Path(log.provenance.path)) as source:
+            with opened_log(Path(log.provenance.path)) as source:
                 autopilot = reader(source.file, log.start)
         except AlulaError:  # what the flight's own streams say remains
             autopilot = AutopilotSeries()
@@ -90,7 +90,7 @@ def _statements(record: Record) -> list[Statement]:
     statements += [s for s in (stopped, upset_statement(record), blow, raw_vibration(calm)) if s]
     statements += [s for s in (leaning_statement(record), ends_in_air(record)) if s]
     if stopped is not None:  # the same rotor's imbalance and limit are this
-        statements = [s for s in statements if s is stopped or s.name not in ("weak_rotor", "saturation", "imbalance")]
+        statements = [s for s in statements if s is stopped or s.name not in ("weak_thrust", "saturation", "imbalance")]
     return statements
 
 

@@ -134,7 +134,7 @@ def _pattern(record: Record, hovering: Balance, largest: float) -> Statement:
             "the yaw pattern says that it is this rotor alone: a damaged propeller or a weak motor"
         )
         advice = f"exchange the propeller of {record.motor_name(loaded)}, then its motor and ESC with another one's"
-        return Statement("weak_rotor", level, "likely", text, evidence, loaded, advice)
+        return Statement("weak_thrust", level, "likely", text, evidence, loaded, advice)
     side = " and ".join(
         part for part in (("front" if pitch > 0 else "back") if abs(pitch) > 0.3 * abs(roll) else "",
                           ("left" if roll > 0 else "right") if abs(roll) > 0.3 * abs(pitch) else "") if part
@@ -145,9 +145,9 @@ def _pattern(record: Record, hovering: Balance, largest: float) -> Statement:
             f"{record.motor_name(loaded)}, or that rotor is weak; hover alone does not decide"
         )
         advice = f"exchange the propellers of {record.motor_name(loaded)} and its opposite, and fly again"
-        return Statement("weak_rotor_or_centre_of_mass", level, "cannot tell", text, evidence, loaded, advice)
+        return Statement("weak_thrust_or_off_centre", level, "cannot tell", text, evidence, loaded, advice)
     text = f"the {side} carries more in hover ({shares}): the centre of mass lies there"
-    return Statement("centre_of_mass", level, "likely", text, evidence, None, f"move the load away from the {side}")
+    return Statement("off_centre", level, "likely", text, evidence, None, f"move the load away from the {side}")
 
 
 def _changed(record: Record, flown: Balance) -> Statement | None:
@@ -184,7 +184,7 @@ def _changed(record: Record, flown: Balance) -> Statement | None:
                         STEP_OF_BALANCE)  # fmt: skip
     level: Level = "fault" if step[rotor] > IMBALANCE.warning else "warning"
     advice = f"exchange the propeller of {record.motor_name(rotor)}, then look at its motor, ESC and their connectors"
-    return Statement("weak_rotor", level, "likely", text, evidence, rotor, advice)
+    return Statement("weak_thrust", level, "likely", text, evidence, rotor, advice)
 
 
 def _is_sudden(time: Floats, values: Floats, at: float, step: float) -> bool:

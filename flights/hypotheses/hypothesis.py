@@ -40,7 +40,7 @@ class Hypothesis:
         """Advice about it, for people."""
         if not self.repairs:
             return "convert it, or give a column mapping"
-        return f"repair: {self.lines} in a mapping file, which `alula inspect LOG --repair FILE` writes"
+        return f"repair: {self.lines} on top of a mapping file, which `alula inspect LOG --repair FILE` writes"
 
     def __str__(self) -> str:
         """Statement, evidence and advice, for people."""

@@ -243,13 +243,13 @@ class Turns:
 def turns_of(reading: Reading, accelerometer: Floats | None) -> Turns:
     """The turns that mend a reading. accelerometer: its turn about z where lateral force showed one."""
     to_gyro = np.eye(3) if reading.rate is None else reading.rate.turn
-    to_force = reading.force_turn if accelerometer is None else reading.force_turn @ accelerometer
-    up_body = to_force.T @ reading.up_sensor  # of the attitude's body axes
-    if upright(up_body):  # the sensors are turned against the body
-        body, gyro, force = np.eye(3), to_gyro.T, to_force.T
+    alone = np.eye(3) if accelerometer is None else accelerometer.T  # may be left-handed, as no attitude can be
+    to_sensor = reading.force_turn
+    if upright(to_sensor.T @ reading.up_sensor):  # the sensors are turned against the body
+        body, gyro, force = np.eye(3), to_gyro.T, alone @ to_sensor.T
     else:
-        fix = np.eye(3) if upright(reading.up_sensor) else _upright_body(reading.up_sensor)
-        body, gyro, force = fix @ to_force, fix @ to_force @ to_gyro.T, fix
+        body = (np.eye(3) if upright(reading.up_sensor) else _upright_body(reading.up_sensor)) @ to_sensor
+        gyro, force = body @ to_gyro.T, body @ alone @ to_sensor.T
     mirrored_world = np.eye(3) if reading.world is None else reading.world.turn
     up_place = mirrored_world @ reading.up_attitude
     place = np.eye(3) if upright(up_place) else _upright_world(up_place)

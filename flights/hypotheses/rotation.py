@@ -128,8 +128,8 @@ def snapped(turn: Floats, snap: float = SNAP) -> Floats:
 
 def _nearest(turn: Floats) -> Floats:
     """The whole axes of one hand with a turn (3, 3) that are nearest to it."""
-    whole = WHOLE_AXES[np.linalg.det(turn) > 0]
-    return np.array(whole[int(np.argmax(np.einsum("aij,ij->a", whole, turn)))])
+    turns = WHOLE_AXES[bool(np.linalg.det(turn) > 0)]
+    return np.array(turns[int(np.argmax(np.einsum("aij,ij->a", turns, turn)))])
 
 
 def _is_repeated(turn: Floats, x: Floats, y: Floats) -> bool:

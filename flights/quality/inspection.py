@@ -28,6 +28,7 @@ from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
 from flights.quantities import MOTION, PRIMARY, RESET_COUNTERS
 from flights.readers.bag_clocks import CLOCK_STEP, OTHER_CLOCK
+from flights.readers.csv import TIME_UNIT
 from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
@@ -98,7 +99,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     usable = _usable(log)
     findings = [
         *(declared_wrong(log.streams) or declared_wrong(flying_streams(flight, segments))),
-        *_other_clocks(log),
+        *_mended_clocks(log),
         *_actuation(log),
         *_accelerations(log),
         *_empty(log),
@@ -174,10 +175,16 @@ def _is_battery_frozen(findings: Sequence[Finding]) -> bool:
     return any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
 
 
-def _other_clocks(log: Log) -> list[Finding]:
-    """Topics of a bag that another clock stamped, or whose clock was set."""
-    repairs = [repair for repair in log.provenance.repairs if repair.name in (OTHER_CLOCK, CLOCK_STEP)]
-    return [Finding("warning", r.name, r.detail, "stamp all sensors by one clock (chrony, timesync)") for r in repairs]
+def _mended_clocks(log: Log) -> list[Finding]:
+    """Stamps that the reader had to change: topics of a bag by another clock, a clock that was set, another unit."""
+    one_clock = "stamp all sensors by one clock (chrony, timesync)"
+    advice = {
+        OTHER_CLOCK: one_clock,
+        CLOCK_STEP: one_clock,
+        TIME_UNIT: "write seconds, or map the column with its unit",
+    }
+    made = [repair for repair in log.provenance.repairs if repair.name in advice]
+    return [Finding("warning", repair.name, repair.detail, advice[repair.name]) for repair in made]
 
 
 def _actuation(log: Log) -> list[Finding]:

@@ -10,11 +10,12 @@ import mmap
 import shutil
 import subprocess
 import tempfile
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
 from dynamics.errors import DataError
-from dynamics.unpacking import Unpacking
+from dynamics.unpacking import CHUNK, Unpacking
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers.blackbox_csv import read_decoded
@@ -57,7 +58,7 @@ def read(source: Source) -> LogContent:
         assembly.note(f"the file holds {len(parts)} flights; read: number {part.number}, the longest")
     with tempfile.TemporaryDirectory(prefix="alula-") as folder:
         table = Path(folder) / "decoded.csv"
-        _decode([decoder, "--stdout", "--index", str(part.number), str(source.file)], source.path, table)
+        _decode([decoder, "--stdout", "--index", str(part.number), str(source.file.resolve())], source.path, table)
         with table.open("rb") as stream:
             lines = lines_of(Source(source.path, table, stream.read(HEAD_BYTES)))
         if split_preamble(lines)[0] < 0:
@@ -91,18 +92,33 @@ def _header(head: bytes) -> dict[str, str]:
 def _decode(command: list[str], path: Path, table: Path) -> None:
     """Write what a decoder prints. Raises DataError where it fails, RequestError beyond the limits of packed files."""
     size = path.stat().st_size
-    try:
-        with table.open("wb") as target:
-            code = subprocess.run(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=target,
-                stderr=subprocess.DEVNULL,
-                timeout=_MAX_SECONDS,
-                check=False,
-            ).returncode
-    except subprocess.TimeoutExpired:
-        raise DataError(f"{DECODER} did not end within {_MAX_SECONDS:.0f} s. Decode the log by hand.") from None
-    if code:
-        raise DataError(f"{DECODER} cannot decode this blackbox log (exit status {code}): it is damaged or cut off.")
-    Unpacking(path, size).add_bytes(table.stat().st_size, size)
+    unpacking = Unpacking(path, size)
+    late = threading.Event()
+    with (
+        subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as decoder,
+        table.open("wb") as target,
+    ):
+
+        def give_up() -> None:
+            late.set()
+            decoder.kill()
+
+        timer = threading.Timer(_MAX_SECONDS, give_up)
+        timer.start()
+        try:
+            while decoder.stdout is not None and (part := decoder.stdout.read(CHUNK)):
+                unpacking.add_bytes(len(part), size)
+                target.write(part)
+        except BaseException:
+            decoder.kill()
+            raise
+        finally:
+            timer.cancel()
+    if late.is_set():
+        raise DataError(f"{DECODER} did not end within {_MAX_SECONDS:.0f} s. Decode the log by hand.")
+    if decoder.returncode:
+        raise DataError(
+            f"{DECODER} cannot decode this blackbox log (exit status {decoder.returncode}): it is damaged or cut off."
+        )

@@ -27,6 +27,7 @@ from flights.table_time import Cut, TimeColumns, is_text, other_time, two_part, 
 from flights.tables import TIME
 
 FLIGHT_TIME = TimeColumns(TIME)
+TIME_UNIT = "time_unit"  # name of the repair of a time that is in no seconds
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
 _SECTION = 8 << 20  # bytes of a long file that are parsed together
@@ -72,7 +73,7 @@ def read(source: Source) -> LogContent:
         unit, name = unit_by_rate(head.numbers(time.column), time.column, head.names)
         if unit != 1.0:
             assembly.repair(
-                "time_unit", f"{time.column} is in {name} by its rate of rows, and not in s as the flight CSV's is"
+                TIME_UNIT, f"{time.column} is in {name} by its rate of rows, and not in s as the flight CSV's is"
             )
             time = replace(time, unit=unit)
     _note_form(head, time, assembly)

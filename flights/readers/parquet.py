@@ -51,7 +51,7 @@ def read(source: Source) -> LogContent:
         time = TimeColumns(TIME, unit)
         if unit != 1.0:
             assembly.repair(
-                "time_unit", f"{TIME} is in {name} by its rate of rows, and not in s as the flight CSV's is"
+                csv.TIME_UNIT, f"{TIME} is in {name} by its rate of rows, and not in s as the flight CSV's is"
             )
     cut = None if source.span is None else Cut(source.span, time)
 

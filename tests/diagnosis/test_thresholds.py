@@ -28,9 +28,6 @@ NO_THRESHOLDS = {
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
     # sizes of blocks and caches, which change no number
     "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",
-    "UNBOUNDED",
-    # of the check of the speeds' unit, which refuses a log and decides no verdict
-    "ALIKE", "MIN_FOR_UNITS", "_CLOSE", "_MAX_COST", "_CLEAR", "_MAX_PAIRS", "_USUAL_PAIRS",
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip

@@ -23,9 +23,6 @@ ALLOWED = {
         "motor_lag", "rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift",
         "thrust_constant", "inertia", "gust",
     },
-    "flights/health/power.py": {"battery_sag"},  # names of statements about a flight
-    "flights/health/reading.py": {"battery_sag", "weak_rotor"},
-    "flights/health/rotors.py": {"weak_rotor", "centre_of_mass"},
     "flights/readers/blackbox_fields.py": {"gyro_scale"},  # a key of a blackbox header
     "flights/quality/rotor_balance.py": {"rotor_speed_fault"},  # the name of a finding in reports
     "runtime/control/rti/problem.py": {"thrust_constant"},  # a field of the C struct

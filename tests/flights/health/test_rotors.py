@@ -47,7 +47,7 @@ def noisy(pattern: Floats, seed: int, seconds: float = 20.0) -> Floats:
 def test_a_rotor_that_alone_works_harder_is_named(rotor: int) -> None:
     pattern = 0.3 * (np.eye(4)[rotor] - 0.25)
     (statement,) = balance_statements(hover(noisy(pattern, rotor)))
-    assert (statement.name, statement.certainty, statement.rotor) == ("weak_rotor", "likely", rotor)
+    assert (statement.name, statement.certainty, statement.rotor) == ("weak_thrust", "likely", rotor)
     assert ("front" in statement.text) == (CORNERS[rotor, 0] > 0)
     assert ("left" in statement.text) == (CORNERS[rotor, 1] > 0)
 
@@ -55,7 +55,7 @@ def test_a_rotor_that_alone_works_harder_is_named(rotor: int) -> None:
 @pytest.mark.parametrize(("axis", "sign", "side"), [(0, 1, "front"), (0, -1, "back"), (1, 1, "left"), (1, -1, "right")])
 def test_a_side_that_carries_more_is_the_centre_of_mass(axis: int, sign: int, side: str) -> None:
     (statement,) = balance_statements(hover(noisy(0.2 * sign * CORNERS[:, axis], axis)))
-    assert (statement.name, statement.rotor) == ("centre_of_mass", None)
+    assert (statement.name, statement.rotor) == ("off_centre", None)
     assert f"the {side} carries more" in statement.text
 
 
@@ -87,7 +87,7 @@ def test_a_rotor_that_changes_in_flight_is_named_with_its_time(rotor: int) -> No
     command = noisy(np.zeros(4), rotor, 40.0)
     command[220:] += 0.5 * 0.2 * np.eye(4)[rotor]
     (statement,) = balance_statements(hover(command))
-    assert (statement.name, statement.rotor) == ("weak_rotor", rotor)
+    assert (statement.name, statement.rotor) == ("weak_thrust", rotor)
     assert statement.start == pytest.approx(22.0, abs=0.5)
 
 

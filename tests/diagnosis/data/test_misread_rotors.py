@@ -6,9 +6,10 @@ import pytest
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import make_dataset
 from diagnosis.data.inspected import inspected
-from diagnosis.data.rotor_units import misread_rotors, reading_shares, unit_of
+from diagnosis.data.misread_rotors import misread_rotors, reading_shares
 from diagnosis.data.segment import segments
 from dynamics.errors import DataError
+from dynamics.speed_units import unit_of
 from tests.diagnosis.conftest import with_columns
 
 RPM = 60 / (2 * np.pi)
