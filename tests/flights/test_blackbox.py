@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
-from dynamics.errors import DataError
+from dynamics.errors import DataError, RequestError
+from dynamics.unpacking import BYTES
 from flights import Flight, Log, read_log
 from flights.pose_source import source_of
 from flights.reading import read_chunks
@@ -189,6 +190,25 @@ def test_a_decoder_that_fails_is_named(
     _decoder(tmp_path, monkeypatch, script)
     (tmp_path / "btfl.bbl").write_bytes(RAW)
     with pytest.raises(DataError, match=message):
+        read_log(tmp_path / "btfl.bbl")
+
+
+def test_a_log_named_like_an_option_is_given_by_its_path(
+    truth: Truth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = _write(tmp_path, text_of(columns_of(truth)))
+    _decoder(tmp_path, monkeypatch, f'echo "$@" > {tmp_path}/words\ncat {table}')
+    (tmp_path / "--raw.bbl").write_bytes(RAW)
+    monkeypatch.chdir(tmp_path)
+    read_log(Path("--raw.bbl"))
+    assert (tmp_path / "words").read_text().split()[-1] == str(tmp_path / "--raw.bbl")
+
+
+def test_a_decoder_that_floods_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _decoder(tmp_path, monkeypatch, "while :; do echo 0123456789012345678901234567890123456789; done")
+    monkeypatch.setenv(BYTES, "0.001")
+    (tmp_path / "btfl.bbl").write_bytes(RAW)
+    with pytest.raises(RequestError, match="unpacks to more than"):
         read_log(tmp_path / "btfl.bbl")
 
 
