@@ -34,7 +34,7 @@ def kind_of_file(path: Path) -> str:
             with zipfile.ZipFile(path) as archive:
                 if any(Path(name).name == _SCRIPT for name in archive.namelist()):
                     return "a TorchScript network"
-    except (OSError, zipfile.BadZipFile):
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):  # what a zip's damaged directory raises
         return ""
     return ""
 

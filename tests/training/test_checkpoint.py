@@ -112,7 +112,7 @@ def test_files_that_are_no_checkpoint_are_refused(tmp_path: Path) -> None:
     assert "weights_only" not in str(caught.value)  # torch's advice is to run the file's code
     with pytest.raises(RequestError, match="no checkpoint"):
         load(tmp_path / "text.pt")
-    torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
+    torch.save({"weights": torch.zeros(3), "epoch": 4}, tmp_path / "other.pt")
     with pytest.raises(RequestError, match="no model of alula"):
         load(tmp_path / "other.pt")
 

@@ -48,3 +48,12 @@ def test_a_damaged_checkpoint_is_still_called_damaged(tmp_path: Path) -> None:
     path.write_bytes(b"PK\x03\x04" + bytes(100))
     with pytest.raises(RequestError, match="or a damaged one"):
         load(path)
+
+
+def test_an_archive_whose_directory_is_damaged_is_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    torch.save({"format": "x"}, path)
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"data.pkl", b"data\xffpkl"))  # a name that is no UTF-8
+    with pytest.raises(RequestError, match="or a damaged one"):
+        load(path)

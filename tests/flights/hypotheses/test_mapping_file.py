@@ -14,7 +14,7 @@ from flights.stream_repair import StreamRepair
 
 MILLIMETRES = StreamRepair("position", scale=0.001)
 TURNED = StreamRepair("rate", turn=((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), late=0.25)
-FOUND = [
+HYPOTHESES = [
     Hypothesis("position_unit", "in mm", "moves", (MILLIMETRES,)),
     Hypothesis("clock", "late", "follows", (TURNED,)),
 ]
@@ -33,14 +33,14 @@ columns = ["x", "y", "z"]
 @pytest.mark.parametrize("log", ["flight.csv", 'a"b.csv', "a\n[[repairs]]\nquantity = 'rate'\n.csv"])
 @pytest.mark.parametrize("name", ["repairs.toml", 'say "mm".toml'])
 def test_repairs_alone_are_read_back(tmp_path: Path, log: str, name: str) -> None:
-    assert read_repairs(write_repairs(FOUND, tmp_path / name, log=Path(log))) == (False, (MILLIMETRES, TURNED))
+    assert read_repairs(write_repairs(HYPOTHESES, tmp_path / name, log=Path(log))) == (False, (MILLIMETRES, TURNED))
 
 
 @pytest.mark.parametrize("earlier", ["", "repairs = [{quantity = 'time', scale = 0.001}]\n"])
 def test_they_follow_those_of_the_mapping_which_stays_as_it_is(tmp_path: Path, earlier: str) -> None:
     mapping = tmp_path / "mine.toml"
     mapping.write_text(earlier + MAPPING)
-    written = write_repairs(FOUND, tmp_path / "repaired.toml", log=Path("flight.csv"), mapping=mapping)
+    written = write_repairs(HYPOTHESES, tmp_path / "repaired.toml", log=Path("flight.csv"), mapping=mapping)
     assert mapping.read_text() == earlier + MAPPING
     assert "# of the tracker" in written.read_text()
     first = (StreamRepair("time", scale=0.001),) if earlier else ()
@@ -51,5 +51,5 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
     path = tmp_path / "repairs.toml"
     path.write_text("mine")
     with pytest.raises(RequestError, match="exists already"):
-        write_repairs(FOUND, path, log=Path("flight.csv"))
+        write_repairs(HYPOTHESES, path, log=Path("flight.csv"))
     assert path.read_text() == "mine"
