@@ -334,6 +334,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             (*DIAGNOSIS, "alula"),
             ("--seeds", "1", "--first", "1", "--draws", "0"),
         ),
+        "busy": Measurement(
+            "benchmarks.demo:busy",
+            ("demo_busy",),
+            ("studies/demo", *DIAGNOSIS, *FLIGHT),
+            ("--demos", "1", "--loops", "0", "--kept", "build/quick_demo_busy.jsonl"),
+        ),
     },
     "estimation": {
         "coverage": Measurement(

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import secrets
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from benchmarks.measurement import Page, options_of
+from benchmarks.measurement import ROOT, Page, Result, measured, options_of, paragraph_of
 from dynamics.errors import AlulaError
 from fixtures.hidden_effect import Draw, try_command_line, yardstick
 from studies.demo.flights import DemoOptions
@@ -164,3 +169,82 @@ def draws(words: Sequence[str]) -> Page:
             faults, misses, count = faults + bool(outcome.faults), misses + bool(outcome.misses), count + 1
     text = f"{count} draws of {arguments.seeds} seeds from {first} on: {faults} with faults, {misses} with misses.\n\n"
     return Page("hidden_effect_draws", "Random hidden effects, by the command line alone", text + "\n".join(rows))
+
+
+def busy(words: Sequence[str]) -> Page:
+    """The demo's command beside other work: exit codes, answers and durations under busy loops.
+
+    Each demo is a process of its own with an empty folder of compiled code, as a new user's is. Busy loops of the same
+    priority run all the while, and as many demos at once as `--jobs` says, which are further load for each other.
+
+        python -m benchmarks demo busy [--demos 20] [--loops 8] [--jobs 4]
+    """
+    parser = options_of(busy.__doc__, jobs=4, resumes="demo_busy", demos=20, loops=8)
+    arguments = parser.parse_args(words)
+    with _busy_loops(arguments.loops):
+        results = measured(
+            partial(_demo_alone, cores=len(os.sched_getaffinity(0))),
+            range(1, arguments.demos + 1),
+            arguments,
+            line=lambda r: f"{r['key']}: exit {r['exit']}, {r['seconds']:.0f} s, {r['processor']:.0f} s of processor",
+            key_of=lambda number: number,
+        )
+    passed = [result for result in results if result["exit"] == 0]
+    seconds, processor = (np.array([result[name] for result in passed]) for name in ("seconds", "processor"))
+    answers = {result["answer"] for result in passed}
+    rows = [
+        paragraph_of(busy.__doc__),
+        "",
+        "| | |",
+        "| --- | --- |",
+        f"| busy loops, demos at once, cores | {arguments.loops}, {arguments.jobs}, {results[0]['cores']} |",
+        f"| demos that ended with exit 0 | {len(passed)} of {len(results)} |",
+        f"| different tables of tracking errors | {len(answers)} |",
+        f"| duration s, median (least to largest) | {_range(seconds)} |",
+        f"| processor time s | {_range(processor)} |",
+    ]
+    rows += [f"| demo {r['key']} | exit {r['exit']}: {r['end']} |" for r in results if r["exit"]]
+    return Page("demo_busy", "The demo beside other work", "\n".join(rows))
+
+
+def _demo_alone(number: int, *, cores: int) -> Result:
+    begin = time.monotonic()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        output = folder / "output.txt"
+        environment = {**os.environ, "ALULA_CACHE": str(folder / "compiled")}
+        with output.open("wb") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "alula", "demo", "--out", str(folder / "demo")],
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                cwd=ROOT,
+            )
+            _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        table = folder / "demo/tracking.csv"
+        return {
+            "key": number,
+            "exit": process.returncode,
+            "seconds": time.monotonic() - begin,
+            "processor": usage.ru_utime + usage.ru_stime,
+            "answer": hashlib.sha256(table.read_bytes()).hexdigest() if table.exists() else "",
+            "end": output.read_text(errors="replace").strip().rpartition("\n")[2],
+            "cores": cores,
+        }
+
+
+@contextmanager
+def _busy_loops(count: int) -> Iterator[None]:
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+def _range(values: np.ndarray) -> str:
+    return f"{np.median(values):.0f} ({values.min():.0f} to {values.max():.0f})" if len(values) else "none"
