@@ -1,4 +1,4 @@
-"""Segments that are not free flight (ground contact, impacts, crashes), to be masked before any fit.
+"""Segments that are not free flight (ground contact, impacts, crashes) or not measured, to be masked before any fit.
 
 They are detected from what the log has: the land detector, effort of the rotors, specific force, motion. A log without
 rotors, accelerometer and motion has no exclusions.
@@ -20,7 +20,7 @@ from dynamics.vehicle import GRAVITY
 from flights.filters import runs
 from flights.flight import MIN_SEGMENT, Flight
 
-Reason = Literal["ground", "impact", "crash"]
+Reason = Literal["ground", "impact", "crash", "clipping"]
 Rows = NDArray[np.bool_]
 
 IDLE_EFFORT = 0.35  # of the usual effort, below which rotors do not carry the vehicle,
@@ -41,12 +41,15 @@ GROUND_MARGIN = 0.3  # s before and after ground contact: spool-up, touch-down
 IMPACT_FORCE = 20.0  # m/s^2 within an instant, and
 IMPACT_SPREAD = 12.0  # times the usual scatter, to be an impact
 IMPACT_MARGIN = 0.25  # s
+BLOW_SPACING = 0.1  # s between jumps that are one blow, and on both sides of it, where the motion is compared
+BLOW_SHARE = 0.5  # of a blow's impulse, which the velocity shows where something was hit
 AFTERMATH = 1.5  # s after an impact in which a crash shows
 LANDING_SPEED = 1.5  # m/s
 FALL = 0.3  # m
 TILT_FALLEN = np.deg2rad(75.0)
 TILT_RESTING = np.deg2rad(30.0)  # no multirotor stands still in the air at such a tilt
 RECOVERED = 1.0  # s of upright flight that end a crash
+UPWARD = np.array([0.0, 0.0, GRAVITY])  # m/s^2, gravity's reaction in the world
 
 
 @dataclass(frozen=True)
@@ -72,16 +75,26 @@ def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
         return ()
     indicators = _Indicators.of(flight)
     ground = indicators.ground()
-    impacts, force = indicators.impacts()
+    jumps = indicators.jumps()
+    sensor = indicators.unfelt(jumps)
+    impacts = (jumps > 0.0) & ~sensor
     crash = _crashes(indicators, ground, impacts)
     touching = _grown(indicators.until_lift_off(ground), indicators.rows(GROUND_MARGIN))
     bumps = _grown(impacts, indicators.rows(IMPACT_MARGIN)) & ~touching & ~crash
+    clipping = _grown(sensor, indicators.rows(BLOW_SPACING)) & ~touching & ~crash & ~bumps
     if not indicators.flew(~(touching | crash)):  # what never left the ground has not crashed
         touching, crash = touching | crash, np.zeros_like(crash)
     exclusions = [
         *_named("crash", flight, crash, "hit something or fell over, and did not fly on"),
         *_named("ground", flight, touching & ~crash, "stood on the ground"),
-        *_named("impact", flight, bumps, f"specific force jumped by {force:.0f} m/s^2"),
+        *_named("impact", flight, bumps, f"specific force jumped by {jumps[impacts].max(initial=0.0):.0f} m/s^2"),
+        *_named(
+            "clipping",
+            flight,
+            clipping,
+            f"the accelerometer alone jumped by {jumps[sensor].max(initial=0.0):.0f} m/s^2: velocity and body rates "
+            "are smooth, so it clips or fails and nothing was hit",
+        ),
     ]
     return tuple(sorted(exclusions, key=lambda item: item.start))
 
@@ -139,6 +152,7 @@ class _Indicators:
     unbalanced: difference of the specific force from gravity's reaction, in the world, m/s^2: the acceleration.
     lift: of the rotors over the weight, by their effort.
     upward_force: specific force along body z over gravity, averaged.
+    acceleration, velocity: (n, 3) in the world, the acceleration by the specific force, m/s^2. rate: (n, 3), rad/s.
     """
 
     count: int
@@ -154,6 +168,9 @@ class _Indicators:
     unbalanced: Floats | None
     lift: Floats | None
     upward_force: Floats | None
+    acceleration: Floats | None
+    velocity: Floats | None
+    rate: Floats | None
 
     @classmethod
     def of(cls, flight: Flight) -> _Indicators:
@@ -167,17 +184,19 @@ class _Indicators:
         landed = flight["landed"] if flight.has("landed") else None
         height = flight["position"][:, 2] if flight.has("position") else None
         force, speed, turning = (norm(name) for name in ("specific_force", "velocity", "rate"))
-        used, unbalanced, lift, upward = effort(flight), None, None, None
+        used, unbalanced, lift, upward, acceleration = effort(flight), None, None, None, None
         if force is not None and tilt is not None:
             width = max(1, round(SMOOTHED / flight.period))
-            body = scipy.ndimage.uniform_filter1d(np.nan_to_num(flight["specific_force"]), width, axis=0)
-            reaction = quaternion.rotate(np.nan_to_num(flight["attitude"]), body) - np.array([0.0, 0.0, GRAVITY])
-            unbalanced = np.linalg.norm(reaction, axis=1)
+            measured, attitude = np.nan_to_num(flight["specific_force"]), np.nan_to_num(flight["attitude"])
+            body = scipy.ndimage.uniform_filter1d(measured, width, axis=0)
+            unbalanced = np.linalg.norm(quaternion.rotate(attitude, body) - UPWARD, axis=1)
+            acceleration = quaternion.rotate(attitude, measured) - UPWARD
             upward = body[:, 2] / GRAVITY
             lift = None if used is None else _lift(used, body[:, 2], tilt)
         climb = flight["velocity"][:, 2] if speed is not None else None
         motion = speed, climb, turning, tilt, landed, height
-        return cls(len(flight), flight.period, used, force, *motion, unbalanced, lift, upward)
+        vectors = (flight[name] if flight.has(name) else None for name in ("velocity", "rate"))
+        return cls(len(flight), flight.period, used, force, *motion, unbalanced, lift, upward, acceleration, *vectors)
 
     def rows(self, seconds: float) -> int:
         return max(1, round(seconds / self.period))
@@ -266,16 +285,44 @@ class _Indicators:
         """Whether the rotors carried the vehicle in any of the free rows, as far as that shows."""
         return bool(free.any()) and (self.lift is None or bool(np.any(self.lift[free] > IDLE_EFFORT)))
 
-    def impacts(self) -> tuple[Rows, float]:
-        """Instants at which the specific force jumps more than rotors can make it, and the largest jump, m/s^2."""
-        none = np.zeros(self.count, dtype=bool)
+    def jumps(self) -> Floats:
+        """(n,) jump of the specific force where it is more than rotors can make, m/s^2; 0 elsewhere."""
         if self.force is None or not np.any(np.isfinite(self.force)):
-            return none, 0.0
+            return np.zeros(self.count)
         force = np.nan_to_num(self.force, nan=GRAVITY)
-        jump = np.abs(force - scipy.ndimage.median_filter(force, size=2 * self.rows(0.1) + 1))
-        scatter = 1.4826 * float(np.median(jump))
-        hit = jump > max(IMPACT_FORCE, IMPACT_SPREAD * scatter)
-        return hit, float(jump[hit].max(initial=0.0))
+        jump = np.abs(force - self._usual(force))
+        return np.where(jump > max(IMPACT_FORCE, IMPACT_SPREAD * _scatter(jump)), jump, 0.0)
+
+    def unfelt(self, jumps: Floats) -> Rows:
+        """Rows of jumps that only the accelerometer shows: an impact changes the velocity or the body rates at once.
+
+        A blow's impulse is its jumps over time. Where the scatter of the velocity would hide it, or attitude, velocity
+        or body rates are missing, it is left for an impact.
+        """
+        unfelt = np.zeros(self.count, dtype=bool)
+        if self.acceleration is None or self.velocity is None or self.rate is None or not jumps.any():
+            return unfelt
+        turning = np.linalg.norm(self.rate - self._usual(self.rate), axis=1)
+        smooth_turning = turning < IMPACT_SPREAD * _scatter(turning)
+        usual = np.cumsum(self._usual(self.acceleration), axis=0) * self.period
+        strange = self.velocity - usual  # what the smooth acceleration does not explain of the velocity
+        width = self.rows(BLOW_SPACING)
+        for start, stop in runs(_grown(jumps > 0.0, width)):
+            rows = slice(start, stop)
+            span = min(stop - start, self.count - 1)
+            changes = np.linalg.norm(strange[span:] - strange[:-span], axis=1)
+            change = changes[min(start, len(changes) - 1)]
+            impulse = float(jumps[rows].sum()) * self.period
+            told = np.isfinite(change) and np.median(changes[np.isfinite(changes)]) < 0.5 * BLOW_SHARE * impulse
+            if told and change < BLOW_SHARE * impulse and smooth_turning[rows].all():
+                unfelt[rows] = jumps[rows] > 0.0
+        return unfelt
+
+    def _usual(self, values: Floats) -> Floats:
+        """Values without what lasts less than a tenth of a second, by the median of each column."""
+        rows = 2 * self.rows(0.1) + 1
+        size = rows if values.ndim == 1 else (rows, 1)
+        return np.asarray(scipy.ndimage.median_filter(np.nan_to_num(values), size=size))
 
     def fallen(self) -> Rows:
         """Lying at an angle without moving."""
@@ -341,6 +388,11 @@ def _recovery(indicators: _Indicators, ground: Rows, row: int) -> int:
 
 def _named(reason: Reason, flight: Flight, rows: Rows, detail: str) -> list[Exclusion]:
     return [Exclusion(reason, float(flight.time[a]), float(flight.time[b - 1]), detail) for a, b in runs(rows)]
+
+
+def _scatter(jumps: Floats) -> float:
+    """Standard deviation of the usual jumps, by their median."""
+    return 1.4826 * float(np.median(jumps))
 
 
 def _lasting(rows: Rows, min_rows: int) -> Rows:

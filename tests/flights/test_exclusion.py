@@ -97,14 +97,47 @@ def test_what_the_land_detector_reports_is_ground() -> None:
 
 def test_a_bump_is_an_impact_and_only_its_surroundings_are_lost() -> None:
     columns = hovering()
-    columns["specific_force_x"][rows(15, 15.02)] = 60.0
+    hit(columns, 15.0, 60.0)
     item = only(find_exclusions(flight(columns)), "impact")
     assert (item.start, item.stop) == (pytest.approx(14.75, abs=0.03), pytest.approx(15.26, abs=0.03))
 
 
+def hit(columns: dict[str, Floats], at: float, force: float) -> None:
+    """A blow of 0.02 s, which the velocity keeps, by a position controller for half a second."""
+    columns["specific_force_x"][rows(at, at + 0.02)] = force
+    columns["velocity_x"][rows(at + 0.02, at + 0.5)] += 0.02 * force
+
+
+@pytest.mark.parametrize(
+    "spikes",
+    [pytest.param((60.0, 60.0), id="one way"), pytest.param((70.0, -70.0, 70.0, -70.0), id="to and fro")],
+)
+def test_an_accelerometer_that_clips_while_the_motion_is_smooth_is_no_impact(spikes: tuple[float, ...]) -> None:
+    columns = hovering()
+    columns["specific_force_x"][rows(15, 15 + len(spikes) / RATE)] = spikes
+    (item,) = find_exclusions(flight(columns))
+    assert item.reason == "clipping"
+    assert item.start < 15.0 < 15 + len(spikes) / RATE < item.stop < 15.3
+
+
+@pytest.mark.parametrize("without", ["velocity", "rate", "attitude"])
+def test_a_jump_is_an_impact_where_the_motion_is_not_known(without: str) -> None:
+    columns = hovering()
+    columns["specific_force_x"][rows(15, 15.02)] = 60.0
+    kept = {name: values for name, values in columns.items() if not name.startswith(without)}
+    assert [item.reason for item in find_exclusions(flight(kept))] == ["impact"]
+
+
+def test_a_blow_that_only_turns_the_vehicle_is_an_impact() -> None:
+    columns = hovering()
+    columns["specific_force_x"][rows(15, 15.02)] = (60.0, -60.0)
+    columns["rate_z"][rows(15.01, 15.05)] = 8.0
+    assert [item.reason for item in find_exclusions(flight(columns))] == ["impact"]
+
+
 def crash(columns: dict[str, Floats], at: float, *, until: float) -> None:
     """Hits a wall, falls, lies with rotors off until it is started again."""
-    columns["specific_force_x"][rows(at, at + 0.02)] = 79.0
+    hit(columns, at, 79.0)
     stand(columns, at + 0.4, until)
 
 
