@@ -48,6 +48,7 @@ from diagnosis.selection.residual_tests import PerturbedResiduals, Rejection, Re
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
 from diagnosis.verdict import (
+    above_floor,
     channel_errors,
     considered,
     gust_refusal,
@@ -335,7 +336,12 @@ class _Judgement:
     def _rejected(
         self, accepted: Accepted, tests: ResidualTests, after: list[Floats], fitted: list[Floats], *, gusty: bool
     ) -> tuple[Rejection, ...]:
-        """The tests that reject, and that by typical held-out windows unless the model has a swinging load."""
+        """The tests that reject, and that by typical held-out windows unless the model has a swinging load.
+
+        None does where no channel's held-out error is above its floor.
+        """
+        if not above_floor(after, accepted.floor):
+            return ()
         regression, typical = self._regression, None
         if not _swings(accepted, regression.thresholds.verdict):
             typical = typical_chi_square(self._before, regression), typical_chi_square(after, regression)

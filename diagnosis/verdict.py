@@ -233,6 +233,15 @@ def rejections(
     )
 
 
+def above_floor(after: Sequence[Floats], floor: Floats) -> bool:
+    """Whether any kind of channel has a larger error than its floor: without, nothing is left to be missing.
+
+    after: (m, 12) residuals of each held-out flight. floor: (12,).
+    """
+    errors, floors = channels.norms(after), floor_norms(floor)
+    return any(errors[kind] > floors[kind] > 0 for kind in channels.KINDS)
+
+
 def judge(effects: Sequence[MissingEffect], rejected: Sequence[Rejection]) -> Verdict:
     """The verdict: `unknown` where a test of the residuals rejects, whatever effects were named."""
     if rejected:

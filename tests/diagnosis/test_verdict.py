@@ -21,6 +21,7 @@ from diagnosis.selection.search import Scored, Search
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT
 from diagnosis.verdict import (
+    above_floor,
     channel_errors,
     considered,
     gust_refusal,
@@ -55,6 +56,16 @@ CLEAN = results()
 
 def verdict(effects=(), after=CLEAN, before=CLEAN, chi_squares=(1.0, 1.0), gusty=False):
     return judge(effects, rejections(after, before, chi_squares, gusty=gusty))
+
+
+@pytest.mark.parametrize(("size", "expected"), [(0.91, False), (1.0, False), (1.1, True)])
+def test_what_is_at_its_floor_in_every_channel_misses_nothing(size: float, expected: bool):
+    floor = np.full(len(CHANNELS), 0.2)
+    floor[-3:] = 0.0  # a kind that the log has not
+    quiet = np.tile(0.5 * floor, (40, 1))
+    quiet[:, 3:6] = size * floor[3:6]  # one kind alone
+    quiet[:, -3:] = 7.0
+    assert above_floor([quiet[:10], quiet[10:]], floor) is expected
 
 
 def test_clean_residuals_leave_the_verdict_to_the_effects():
