@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 from flights.assembly import MAX_VALUE, Assembly
@@ -23,10 +24,11 @@ _ROTOR = re.compile(
     r"rpm|rotor|motor|(?<![a-z])esc|pwm|throttle|servo|actuator|dshot|propeller|thruster", re.IGNORECASE
 )
 _SPEED = re.compile(r"rpm|omega|speed|vel", re.IGNORECASE)
+_OF_MOTORS = re.compile(r"temp|volt|curr|batt|power|effort|torque|stamp|time|rssi|address|config|param", re.IGNORECASE)
 _OTHER = re.compile(
-    r"temp|volt|curr|batt|status|state_?of|error|count|covariance|stamp|time|seq|flag|mag|baro|pressure|latitude|"
-    r"longitude|gps|navsat|gain|joy|stick|manual|(?<![a-z])rc(?![a-z])|rc_?in|rcin|radio|effort|torque|moment|wrench|"
-    r"bias|variance|intensit|image|camera|pid|integral|rssi|address|config|param",
+    _OF_MOTORS.pattern + r"|status|error|count|covariance|seq|flag|mag|baro|pressure|latitude|longitude|gps|navsat|"
+    r"gain|joy|stick|manual|(?<![a-z])rc(?![a-z])|rc_?in|rcin|radio|moment|wrench|bias|variance|intensit|image|"
+    r"camera|pid|integral",
     re.IGNORECASE,
 )
 _SETPOINT = re.compile(
@@ -59,11 +61,11 @@ def groups_of(names: Sequence[str]) -> list[Group]:
     keyed: dict[str, list[int]] = {}
     for index, name in enumerate(names):
         leaf = name.rpartition(".")[2]
-        if (axis := _AXES.search(leaf)) and not _NUMBER.search(leaf):
+        if _EULER.search(leaf):
+            keyed.setdefault(f"{name[: len(name) - len(leaf)]}{_EULER.sub('euler', leaf)}", []).append(index)
+        elif (axis := _AXES.search(leaf)) and not _NUMBER.search(leaf):
             key = f"{name[: len(name) - len(leaf)]}{leaf[: axis.start(1)]}"
             keyed.setdefault(f"{key.rstrip('_')}~xyz", []).append(index)
-        elif _EULER.search(leaf):
-            keyed.setdefault(f"{name[: len(name) - len(leaf)]}{_EULER.sub('euler', leaf)}", []).append(index)
         elif _NUMBER.search(name):
             keyed.setdefault(_NUMBER.sub("#", name), []).append(index)
         else:
@@ -83,7 +85,7 @@ def quantity_of_group(words: Sequence[str], names: Sequence[str], table: Floats)
         return None
     placed = sum(bool(_PLACES.search(name)) for name in names) == width
     for text in (*words, " ".join(words)):
-        if _ROTOR.search(text) and not (_OTHER.search(text) and not re.search("rpm", text, re.IGNORECASE)):
+        if _ROTOR.search(text) and not _OF_MOTORS.search(text):
             return _rotors(text, table) if width != 3 or not _axes(names) else _vector(words, table)
         if _OTHER.search(text):
             return None
@@ -106,8 +108,7 @@ def _vector(words: Sequence[str], table: Floats) -> str | None:
     if not len(length) or is_setpoint:
         return None
     if table.shape[1] == 4:
-        is_unit = np.mean(np.abs(length - 1.0) < _UNIT_LENGTH) > _UNIT_SHARE
-        return "attitude" if is_unit else None
+        return "attitude" if _is_unit(table) else None
     for text in words:
         for quantity, pattern in _VECTORS:
             if pattern.search(text):
@@ -123,9 +124,12 @@ def _all_turn(table: Floats) -> bool:
     if len(moving) < 3:
         return False
     part = table[:, moving]
-    one_sign = (np.nanmin(part, axis=0) >= 0.0) | (np.nanmax(part, axis=0) <= 0.0)
     sizes = np.abs(np.nanmedian(part, axis=0))
-    return bool(one_sign.all() and sizes.max() < _ALIKE * max(sizes.min(), 1e-12))
+    return bool(_of_one_sign(part).all() and sizes.max() < _ALIKE * max(sizes.min(), 1e-12))
+
+
+def _of_one_sign(table: Floats) -> NDArray[np.bool_]:
+    return np.asarray((np.nanmin(table, axis=0) >= 0.0) | (np.nanmax(table, axis=0) <= 0.0))
 
 
 def _rotors(text: str, table: Floats) -> str | None:
@@ -177,24 +181,53 @@ def keep_groups(
 
 
 def _split(groups: Sequence[Group], table: Floats) -> list[Group]:
-    """Groups, a state of several quantities in one array as its parts: a unit quaternion, and three before it."""
+    """Groups, a row of several quantities in one array as its parts."""
     parts: list[Group] = []
     for group in groups:
         width = len(group.fields)
-        start = _unit_quaternion(table[:, group.fields]) if width > 4 else None
-        if start is None:
-            parts += [group] if width <= MAX_WIDTH + _MIN_ROTORS else []
-            continue
-        parts.append(Group("", group.fields[start : start + 4]))
-        if start >= 3:
-            parts.append(Group("position", group.fields[start - 3 : start]))
+        mixed = width > 4 and not _ROTOR.search(group.key) and not _all_turn(table[:, group.fields])
+        parts += _parts(group, table) if mixed else [group] if width <= MAX_WIDTH + _MIN_ROTORS else []
     return parts
 
 
-def _unit_quaternion(table: Floats) -> int | None:
-    """Where four columns side by side are a unit quaternion that turns, None if nowhere."""
-    for start in range(table.shape[1] - 3):
-        length = np.linalg.norm(table[:, start : start + 4], axis=1)
-        if np.mean(np.abs(length - 1.0) < 1e-3) > _UNIT_SHARE and len(moving_columns(table[:, start : start + 4])) > 1:
-            return start
-    return None
+def _parts(group: Group, table: Floats) -> list[Group]:
+    """Quantities side by side in one array: a pose, accelerations and the rates after them, rotors; else the array.
+
+    Each is told by its content: length 1 of an attitude, length g of a specific force, one sign of rotors.
+    """
+    left, parts = list(group.fields), []
+
+    def take(key: str, start: int, count: int) -> None:
+        parts.append(Group(key, tuple(left[start : start + count])))
+        del left[start : start + count]
+
+    turned = _first(left, 4, lambda part: _is_unit(part) and len(moving_columns(part)) > 1, table)
+    if turned is not None:
+        take("", turned, 4)
+        if turned >= 3:
+            take("position", turned - 3, 3)
+    for count in range(8, 2, -1):
+        rotors = _first(left, count, lambda part: _all_turn(part) and len(moving_columns(part)) == part.shape[1], table)
+        if rotors is not None and count > 3:
+            take("", rotors, count)
+            break
+    force = _first(left, 3, lambda part: _GRAVITY[0] < float(np.nanmedian(_length(part))) < _GRAVITY[1], table)
+    if force is not None:
+        take("specific_force", force, 3)
+        if force + 3 <= len(left):
+            take("rate", force, 3)
+    return parts or [group]
+
+
+def _first(fields: Sequence[int], count: int, fits: Callable[[Floats], bool], table: Floats) -> int | None:
+    """The first place of so many fields side by side that fit, None if there is none."""
+    places = range(len(fields) - count + 1)
+    return next((start for start in places if fits(table[:, fields[start : start + count]])), None)
+
+
+def _length(table: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(table, axis=1))
+
+
+def _is_unit(table: Floats) -> bool:
+    return bool(np.mean(np.abs(_length(table) - 1.0) < _UNIT_LENGTH) > _UNIT_SHARE)

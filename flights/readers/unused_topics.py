@@ -116,7 +116,7 @@ class UnusedTopics:
                 scalars.setdefault(_NUMBER.sub("#", topic), []).append(topic)
                 continue
             shown = [_shown_field(name) for name in names]
-            words = (topic.rpartition("/")[2], kind.rpartition("/")[2], topic)
+            words = (topic.rpartition("/")[2], kind.rpartition("/")[2].removesuffix("Stamped"), topic)
             source = f"{topic} ({shown_type(kind)})"
             reason = (reasons or {}).get(topic, "")
             if keep_groups(assembly, source, shown, table, words=words, reason=reason, count=self._counts[topic]):

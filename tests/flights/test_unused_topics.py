@@ -133,6 +133,17 @@ def test_motion_that_no_convention_names_is_a_candidate(
     assert (unused.quantity, unused.moves) == (quantity, True)
 
 
+def test_a_row_of_several_quantities_is_told_apart_by_content(truth: Truth, tmp_path: Path) -> None:
+    row = np.concatenate(
+        [truth.position, truth.attitude, truth.velocity, truth.rotor_speed, truth.specific_force, truth.rate], axis=1
+    )
+    topics = [_pose(truth), _array("/row", row, "std_msgs/msg/Float64MultiArray", np.float64)]
+    log = read_log(topic_bag(truth.time, topics, tmp_path / "bag", StoragePlugin.MCAP))
+    first = {unused.quantity: unused.fields[0] for unused in log.provenance.unused}
+    places = {"position": 0, "attitude": 3, "rotor_speed": 10, "specific_force": 14, "rate": 17}
+    assert first == {name: f"element[{place}]" for name, place in places.items()}
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("still", ["/a/pose", "/z/pose"])
 def test_a_topic_that_stands_still_never_wins_and_the_other_is_listed(
