@@ -54,8 +54,8 @@ def _of_rotors(
     if not movers:
         return list(streams), []
     still = [stream for stream in rotors if not any(stream is one for one in turning)]
-    kept = [stream for stream in streams if not any(stream is one for one in still)]
-    return kept, [(stream, f"it stands still, while {movers[0]} moves") for stream in still]
+    others = [stream for stream in streams if not any(stream is one for one in still)]
+    return others, [(stream, f"it stands still, while {movers[0]} moves") for stream in still]
 
 
 def _thinned(stream: Stream) -> np.ndarray:

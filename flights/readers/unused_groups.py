@@ -24,7 +24,9 @@ _ROTOR = re.compile(
     r"rpm|rotor|motor|(?<![a-z])esc|pwm|throttle|servo|actuator|dshot|propeller|thruster", re.IGNORECASE
 )
 _SPEED = re.compile(r"rpm|omega|speed|vel", re.IGNORECASE)
-_OF_MOTORS = re.compile(r"temp|volt|curr|batt|power|effort|torque|stamp|time|rssi|address|config|param", re.IGNORECASE)
+_OF_MOTORS = re.compile(
+    r"temp|volt|curr|batt|power(?!_?dist)|effort|torque|stamp|time|rssi|address|config|param", re.IGNORECASE
+)
 _OTHER = re.compile(
     _OF_MOTORS.pattern + r"|status|error|count|covariance|seq|flag|mag|baro|pressure|latitude|longitude|gps|navsat|"
     r"gain|joy|stick|manual|(?<![a-z])rc(?![a-z])|rc_?in|rcin|radio|moment|wrench|bias|variance|intensit|image|"
@@ -89,8 +91,8 @@ def quantity_of_group(words: Sequence[str], names: Sequence[str], table: Floats)
             return _rotors(text, table) if width != 3 or not _axes(names) else _vector(words, table)
         if _OTHER.search(text):
             return None
-    if width in (3, 4) and (found := _vector(words, table)) is not None:
-        return found
+    if width in (3, 4) and (vector := _vector(words, table)) is not None:
+        return vector
     if any(_SETPOINT.search(text) for text in words) and not placed and not _all_turn(table):
         return None
     return _rotors(" ".join(words), table) if (placed or _all_turn(table)) and not _axes(names) else None
@@ -169,15 +171,15 @@ def keep_groups(
     reason: empty for the one that suits the quantity. count: of samples, where the table has fewer.
     taken: quantities that are not looked for.
     """
-    kept = False
+    is_listed = False
     for group in _split(groups_of(names), table):
         fields = [names[index] for index in group.fields]
         part = table[:, group.fields]
         quantity = quantity_of_group([group.key, *words], fields, part)
         if quantity is not None and quantity not in taken:
             assembly.leave_out(quantity, source, fields, part, reason or reason_for(quantity), count=count)
-            kept = True
-    return kept
+            is_listed = True
+    return is_listed
 
 
 def _split(groups: Sequence[Group], table: Floats) -> list[Group]:

@@ -105,7 +105,7 @@ class UnusedTopics:
 
         reasons: why a topic is not read, where a convention would.
         """
-        kept: set[str] = set()
+        listed: set[str] = set()
         scalars: dict[str, list[str]] = {}
         for topic, names in self._names.items():
             if not names or not len(self._rows[topic]):
@@ -120,11 +120,11 @@ class UnusedTopics:
             source = f"{topic} ({shown_type(kind)})"
             reason = (reasons or {}).get(topic, "")
             if keep_groups(assembly, source, shown, table, words=words, reason=reason, count=self._counts[topic]):
-                kept.add(topic)
+                listed.add(topic)
         for pattern, topics in scalars.items():
             if len(topics) > 1 and self._keep_scalars(assembly, pattern, sorted(topics)):
-                kept |= set(topics)
-        return kept
+                listed |= set(topics)
+        return listed
 
     def _keep_scalars(self, assembly: Assembly, pattern: str, topics: Sequence[str]) -> bool:
         """Keep topics of one number each, told apart by a number in their names, as one group."""
@@ -153,17 +153,17 @@ def _shown_field(name: str) -> str:
     return f"element[{name[5:-1]}]" if re.fullmatch(r"data\[\d+\]", name) else name
 
 
-def _numbers(prefix: str, value: Any, seen: list[int]) -> Iterator[tuple[str, float]]:
+def _numbers(prefix: str, value: Any, counted: list[int]) -> Iterator[tuple[str, float]]:
     """A message's numbers by path, MAX_NUMBERS at most; no stamps, covariances and flags."""
-    if len(seen) >= MAX_NUMBERS or (prefix and _SKIPPED.search(prefix.rpartition(".")[2])):
+    if len(counted) >= MAX_NUMBERS or (prefix and _SKIPPED.search(prefix.rpartition(".")[2])):
         return
     if is_dataclass(value):
         for field in value.__dataclass_fields__:
             if not field.startswith("__"):
-                yield from _numbers(f"{prefix}.{field}" if prefix else field, getattr(value, field), seen)
+                yield from _numbers(f"{prefix}.{field}" if prefix else field, getattr(value, field), counted)
     elif isinstance(value, (list, tuple, np.ndarray)):
         for index, item in enumerate(value[: MAX_NUMBERS + 1]):
-            yield from _numbers(f"{prefix}[{index}]", item, seen)
+            yield from _numbers(f"{prefix}[{index}]", item, counted)
     elif isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_)):
-        seen.append(1)
+        counted.append(1)
         yield prefix, float(value)

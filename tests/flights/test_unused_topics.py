@@ -48,9 +48,9 @@ def _fields(name: str, kind: str, definition: str, *columns: Floats) -> BagTopic
 
 
 def _of(log: Log, source: str) -> UnusedStream:
-    found = [unused for unused in log.provenance.unused if unused.source.startswith(source)]
-    assert len(found) == 1, log.provenance.unused
-    return found[0]
+    matching = [unused for unused in log.provenance.unused if unused.source.startswith(source)]
+    assert len(matching) == 1, log.provenance.unused
+    return matching[0]
 
 
 def _says_missing(log: Log) -> bool:
