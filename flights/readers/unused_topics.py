@@ -20,7 +20,8 @@ from flights.assembly import Assembly
 from flights.readers.unused_groups import MAX_NUMBERS, keep_groups
 
 MAX_BYTES = 4096  # of a message
-MAX_ROWS = 4_000  # of a topic
+MAX_ROWS = 2_000  # of a topic
+MAX_MESSAGES = 20_000  # of all topics: half a second
 MAX_TOPICS = 64
 _BYTES = frozenset({"byte", "char", "uint8", "int8", "octet"})
 _BULK = re.compile(
@@ -78,7 +79,8 @@ class UnusedTopics:
         for connection in self.connections:
             counts[connection.topic] += connection.msgcount
         self._counts = counts
-        self._steps = {topic: -(-count // MAX_ROWS) or 1 for topic, count in counts.items()}
+        rows = min(MAX_ROWS, MAX_MESSAGES // max(1, len(counts)))
+        self._steps = {topic: -(-count // rows) or 1 for topic, count in counts.items()}
         self._passed = dict.fromkeys(self._kinds, 0)
         self._names: dict[str, tuple[str, ...]] = {}
         self._rows: dict[str, array[float]] = {}
