@@ -16,6 +16,7 @@ from flights.events import MAX_EVENTS, Event, EventKind, cleaned
 from flights.log import LogContent, Repair, Stream, UnusedStream, spanning_streams
 from flights.movement import moves
 from flights.quantities import PRIMARY, QUANTITIES, ROTORS
+from flights.rival_streams import settled
 from flights.source import MAX_STEP_BACK
 
 MAX_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
@@ -97,6 +98,12 @@ class Assembly:
             count or len(table),
             reason,
         )
+        if unused not in self._unused:
+            self._unused.append(unused)
+
+    def leave_out_undecoded(self, quantity: str, source: str, count: int, reason: str) -> None:
+        """Keep a source whose numbers cannot be read and may be a quantity. count: of its samples."""
+        unused = UnusedStream(source, (), quantity, 0.0, 0.0, False, count, reason)
         if unused not in self._unused:
             self._unused.append(unused)
 
@@ -243,6 +250,13 @@ class Assembly:
             good = quaternion.normalise(good)
         fixed[valid] = quaternion.continuous(good) if len(valid) else good
         return fixed
+
+    def settle_rivals(self) -> None:
+        """Use of several streams for a quantity one that moves, and list the others as unused."""
+        streams, lost = settled([*self._streams, *self._spares], self._unused)
+        self._streams, self._spares = streams, []
+        for stream, reason in lost:
+            self.leave_out(stream.name, stream.source, stream.columns, stream.values, reason)
 
     def finish(self, *, keep_time: bool = False) -> LogContent:
         """The content, its time starting at 0 with the first sample of motion or rotors.

@@ -45,7 +45,7 @@ class UnusedStream:
     """Numbers of the file that may be a quantity and are not used as one.
 
     source: topic with its instance, message, or table.
-    fields: of the source, in its order.
+    fields: of the source, in its order; empty where its numbers cannot be read.
     quantity: which they may be, by its name in `flights.quantities`.
     low, high: the range over which they move, in the file's unit; where they stand, if they stand still.
     moves: whether any of them moves.
@@ -62,7 +62,14 @@ class UnusedStream:
     count: int
     reason: str
 
+    @property
+    def is_candidate(self) -> bool:
+        """Whether it may be its quantity: it moves, or cannot be read."""
+        return self.moves or not self.fields
+
     def __str__(self) -> str:
+        if not self.fields:
+            return f"{self.source}: {self.count} samples; not used: {self.reason}"
         does = "move" if self.moves else "stand still"
         if len(self.fields) == 1:
             does += "s" if self.moves else ""
@@ -193,8 +200,8 @@ class Provenance:
     inferences: tuple[str, ...] = ()
 
     def candidates(self, names: Collection[str]) -> tuple[UnusedStream, ...]:
-        """Unused numbers that move and may be one of some quantities: what of them is in the file after all."""
-        return tuple(unused for unused in self.unused if unused.moves and unused.quantity in names)
+        """Unused numbers that may be one of some quantities: what of them is in the file after all."""
+        return tuple(unused for unused in self.unused if unused.is_candidate and unused.quantity in names)
 
     @property
     def damage(self) -> tuple[str, ...]:

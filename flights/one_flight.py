@@ -107,6 +107,8 @@ def _provenance(logs: Sequence[Log]) -> Provenance:
         " + ".join(dict.fromkeys(log.provenance.reader for log in logs)),
         (f"{len(logs)} files joined as one flight, each on its own stamps", *notes),
         tuple(repairs),
+        tuple(unused for log in logs for unused in log.provenance.unused),
+        tuple(f"{Path(log.provenance.path).name}: {text}" for log in logs for text in log.provenance.inferences),
     )
 
 

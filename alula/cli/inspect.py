@@ -191,7 +191,7 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
         console.print(f"understood: {text}", style="dim", highlight=False, markup=False)
     for unused in inspection.unused:
         is_named = any(str(unused) in finding.text for finding in inspection.findings)
-        if (unused.moves or everything) and not is_named:
+        if (unused.is_candidate or everything) and not is_named:
             console.print(f"also logged: {unused}", style="dim", highlight=False, markup=False)
     _print_effects(inspection, console)
     if everything:

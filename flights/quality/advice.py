@@ -51,6 +51,10 @@ UNUSED_ROTORS: Mapping[str, str] = {
     "MAV_TYPE, and fly again; or write the flight as a table with these columns",
     "ArduPilot DataFlash log": "name the motors' outputs by SERVOn_FUNCTION 33 to 40 and fly again, or write the "
     "flight as a table with these columns",
+    "ROS bag": "publish them as mav_msgs/Actuators or as a message with the fields rpm_0, rpm_1, ..., record types "
+    "with their definitions (MCAP), or write the flight as a table and name its columns by a mapping (--mapping)",
+    "Crazyflie micro-SD log": "log rpm.m1 to rpm.m4 or motor.m1 to motor.m4, or write the flight as a table and name "
+    "its columns by a mapping (--mapping)",
 }
 
 

@@ -24,6 +24,7 @@ from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
 from flights.assembly import Assembly
 from flights.log import LogContent
+from flights.readers.unused_variables import keep_variables
 from flights.source import Source, TimeSpan
 
 _MAGIC = 0xBC
@@ -98,6 +99,10 @@ def read(source: Source) -> LogContent:
     for number, kind in header.types.items():
         if kind is not header.types[_main_type(header, tables)] and len(tables.get(number, ())):
             assembly.note(f"{len(tables[number])} events {kind.name!r} are left out")
+            columns = {f"{kind.name}.{name}": tables[number][f"v:{name}"].astype(float) for name in kind.variables}
+            keep_variables(assembly, columns, (), ())
+    if source.span is None:  # a span of it would choose otherwise than the next one
+        assembly.settle_rivals()
     return assembly.finish()
 
 
@@ -208,13 +213,17 @@ def _add_streams(assembly: Assembly, table: NDArray[np.void], ticks: int) -> Non
 
 
 def add_variables(assembly: Assembly, time: Floats, columns: Mapping[str, Floats]) -> set[str]:
-    """Add the streams of log variables, (n,) each by its group.name; returns the names of those that were used."""
+    """Add the streams of log variables, (n,) each by its group.name; returns the names of those that were used.
+
+    Those that may be a quantity and are not used are kept as unused.
+    """
     used: set[str] = set()
     for name, variables, convert in STREAMS:
         if all(variable in columns for variable in variables):
             values = np.stack([columns[variable] for variable in variables], axis=1)
             assembly.add(name, time, convert(values), variables[0].rpartition(".")[0] + "." + _joined(variables))
             used.update(variables)
+    keep_variables(assembly, columns, used, [(name, variables) for name, variables, _ in STREAMS])
     return used
 
 

@@ -17,6 +17,7 @@ from flights.log import LogContent
 from flights.readers import csv
 from flights.readers.crazyflie import STREAMS, VARIABLES, add_variables
 from flights.readers.table_head import TableHead, table_head
+from flights.readers.unused_variables import variables_to_read
 from flights.source import Source
 from flights.table_time import Cut, TimeColumns, is_text, unit_by_rate
 
@@ -56,16 +57,21 @@ def read(source: Source) -> LogContent:
     def numbers(names: Sequence[str]) -> dict[str, Floats]:
         return csv.read_columns(source.file, layout, list(names), assembly)
 
-    columns = numbers([column, *used])
+    further = variables_to_read(head.names, {column, *used})
+    columns = csv.readable_columns(numbers, [column, *used], {}, assembly, further)
     origin = time.origin(columns) or 0.0
     assembly.origin = origin * time.unit
     if len(columns[column]):
-        add_variables(assembly, time.seconds(columns, origin), {name: columns[name] for name in used})
+        add_variables(
+            assembly, time.seconds(columns, origin), {name: columns[name] for name in columns if name != column}
+        )
     if not {"position", "rate"} <= {name for name, variables, _ in STREAMS if set(variables) <= set(used)}:
         assembly.note("a block of log variables; further blocks of the flight join it by --one-flight")
     others = [name for name in head.names if name not in used and name not in (column, "")]
     if others:
         assembly.note(f"columns that are none of a flight's quantities: {', '.join(others[:12])}")
+    if source.span is None:  # a span of it would choose otherwise than the next one
+        assembly.settle_rivals()
     return assembly.finish()
 
 

@@ -182,10 +182,16 @@ def _of_twist(m: Message) -> Iterable[float]:
 
 def _twist(assembly: Assembly, rows: TopicRows) -> None:
     """mavros publishes `velocity_local` in the world and `velocity_body` in the body; others define no frame."""
-    if "setpoint" in rows.topic or "command" in rows.topic:
+    is_setpoint = "setpoint" in rows.topic or "command" in rows.topic
+    if not is_setpoint:
+        reason = "the frame of a twist's rates is not stated"
+        assembly.leave_out("rate", rows.topic, ("angular.x", "angular.y", "angular.z"), rows.values[:, 3:], reason)
+    if is_setpoint:
         assembly.add("velocity_setpoint", rows.time, rows.values[:, :3], rows.topic)
     elif "body" in rows.topic:
+        reason = "its name says that it is a body velocity, and no attitude of its own turns it into the world"
         assembly.note(f"{rows.topic}: a body velocity by its name, left out")
+        assembly.leave_out("velocity", rows.topic, ("linear.x", "linear.y", "linear.z"), rows.values[:, :3], reason)
     else:
         assembly.note(f"{rows.topic}: its velocity is taken for the world's, as mavros's velocity_local is")
         assembly.add("velocity", rows.time, rows.values[:, :3], rows.topic)

@@ -15,7 +15,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,7 @@ from flights.readers.bag_clocks import clocks_of
 from flights.readers.bag_limits import limits_of
 from flights.readers.px4_messages import Px4Samples
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
+from flights.readers.unused_topics import UnusedTopics, is_decodable, keep_undefined
 from flights.source import Source, TimeSpan
 
 _ROS1 = b"#ROSBAG V2.0"
@@ -58,6 +59,8 @@ _BROKEN = (
     NotImplementedError,
 )
 _PAPER_TOPICS = ("odom", "imu", "motor_rpm")
+_MAX_NAMED = 12  # topics of a note
+_OF_ANOTHER = "it is of another vehicle; --system N reads that whose namespace ends in N"
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -120,18 +123,57 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
             f"this is a bag of the paper's set: {paper}odom has the velocity in the world, {paper}imu its rates in "
             "FRD, and rpm_0 to rpm_3 are rotors 0 to 3"
         )
-    skipped = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c not in connections})
-    if skipped:
-        assembly.note(f"topics that are none of a flight's quantities: {', '.join(skipped[:12])}")
-    connections = _with_definitions(_of_one_vehicle(connections, assembly), reader, assembly)
-    if not connections:  # for which rosbags would read every message, cameras' as well
+    skipped = [c for c in reader.connections if c not in connections]
+    _note_skipped(skipped, reader, assembly)
+    of_one = _of_one_vehicle(connections, assembly)
+    others = {c.topic: _OF_ANOTHER for c in connections if c not in of_one}
+    definitions = reader.typestore.fielddefs
+    connections = _with_definitions(of_one, reader, assembly)
+    keep_undefined(assembly, reader.connections, definitions)
+    unused = UnusedTopics([*skipped, *(c for c in reader.connections if c.topic in others)], definitions)
+    if not connections and not unused.connections:  # for which rosbags would read every message, cameras' as well
         return
+    samples = _samples(reader, [*connections, *unused.connections], unused, assembly, span)
+    px4_messages.add_streams(assembly, {topic: rows for topic, rows in samples.items() if isinstance(rows, Px4Samples)})
+    stamped = {topic: rows for topic, rows in samples.items() if isinstance(rows, Samples) and len(rows)}
+    clocks = clocks_of(
+        {topic: np.array(rows.stamps) for topic, rows in stamped.items()},
+        {topic: np.array(rows.recorded) for topic, rows in stamped.items()},
+        assembly,
+    )
+    for topic in sorted(stamped, key=_preference):
+        stamped[topic].convert(assembly, topic, clocks[topic], is_paper=paper is not None)
+    unused.keep(assembly, others)
+    if span is None:  # a span of it would choose otherwise than the next one
+        assembly.settle_rivals()
+
+
+def _note_skipped(skipped: Sequence[Connection], reader: AnyReader, assembly: Assembly) -> None:
+    """Note the topics that no convention reads, apart from those that are not even decoded."""
+    definitions = reader.typestore.fielddefs
+    for is_decoded, text in ((True, "are none of a flight's quantities"), (False, "are not decoded")):
+        topics = {f"{c.topic} ({c.msgtype})" for c in skipped if is_decodable(c.msgtype, definitions) is is_decoded}
+        if topics:
+            more = f" and {len(topics) - _MAX_NAMED} more" if len(topics) > _MAX_NAMED else ""
+            assembly.note(f"topics that {text}: {', '.join(sorted(topics)[:_MAX_NAMED])}{more}")
+
+
+def _samples(
+    reader: AnyReader, connections: list[Connection], unused: UnusedTopics, assembly: Assembly, span: TimeSpan | None
+) -> dict[str, Samples | Px4Samples]:
+    """The numbers of the topics that a convention reads; those of the others go to `unused`."""
     samples: dict[str, Samples | Px4Samples] = {}
+    unread = {connection.topic for connection in unused.connections}
     start, stop = None, None
     if span is not None:
         start, stop = (reader.start_time + round(edge * 1e9) for edge in (span.start, span.end))
         span.following = span.end if reader.end_time > stop else span.following
     for connection, stamp, raw in reader.messages(connections=connections, start=start, stop=stop):
+        if connection.topic in unread:
+            if unused.is_wanted(connection.topic, raw):
+                with suppress(AnyReaderError, KeyError, ValueError, AttributeError, IndexError):
+                    unused.add(connection.topic, reader.deserialize(raw, connection.msgtype))
+            continue
         rows = samples.get(connection.topic)
         if rows is None:
             is_px4 = px4_messages.is_read(connection.topic, connection.msgtype)
@@ -142,15 +184,7 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -
             assembly.repair(
                 "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
             )
-    px4_messages.add_streams(assembly, {topic: rows for topic, rows in samples.items() if isinstance(rows, Px4Samples)})
-    stamped = {topic: rows for topic, rows in samples.items() if isinstance(rows, Samples) and len(rows)}
-    clocks = clocks_of(
-        {topic: np.array(rows.stamps) for topic, rows in stamped.items()},
-        {topic: np.array(rows.recorded) for topic, rows in stamped.items()},
-        assembly,
-    )
-    for topic in sorted(stamped, key=_preference):
-        stamped[topic].convert(assembly, topic, clocks[topic], is_paper=paper is not None)
+    return samples
 
 
 def _of_one_vehicle(connections: list[Connection], assembly: Assembly) -> list[Connection]:
