@@ -25,19 +25,22 @@ def catalogue_with(files: Iterable[EffectFile], conditions: FlightConditions) ->
     or one whose spectrum is not that of its state space.
     """
     catalogue = dict(CATALOGUE)
+    own: list[tuple[EffectFile, Component]] = []
     for file in files:
         for component in components_of(file):
             if component.name in catalogue:
                 raise RequestError(
-                    f"{file.path}: there is a component {component.name!r} already; name yours otherwise."
+                    f"{file.path}: there is a component {component.name!r} already; give yours another name."
                 )
             catalogue[component.name] = component
-            try:
-                check(component, catalogue, conditions)
-            except Exception as error:  # a user's functions may raise anything
-                line = line_of(error, file)
-                where = f"{file.path}, line {line}" if line else file.path
-                raise RequestError(f"{where}: component {component.name!r}: {type(error).__name__}: {error}") from None
+            own.append((file, component))
+    for file, component in own:
+        try:
+            check(component, catalogue, conditions)
+        except Exception as error:  # a user's functions may raise anything
+            line = line_of(error, file)
+            where = f"{file.path}, line {line}" if line else file.path
+            raise RequestError(f"{where}: component {component.name!r}: {type(error).__name__}: {error}") from None
     return catalogue
 
 
@@ -62,6 +65,8 @@ def components_of(file: EffectFile) -> tuple[Component, ...]:
 
 def check(component: Component, catalogue: Mapping[str, Component], conditions: FlightConditions) -> None:
     """Compare a component's spectrum with its state space. Raises ValueError where they differ, or one is no number."""
+    if unknown := set(component.needs) - set(catalogue):
+        raise ValueError(f"it needs {', '.join(sorted(unknown))}; there are {', '.join(catalogue)}")
     composition = Composition((component, *(catalogue[name] for name in component.needs)))
     values = composition.medians(conditions.vehicle)
     model = composition.model(values, conditions)
