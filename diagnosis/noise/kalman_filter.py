@@ -30,13 +30,13 @@ def filter_rows(model: DiscreteModel, start: Floats, readings: Floats) -> Filter
     """
     state, P, whitened, total = np.zeros(len(model.A)), start, np.full(readings.shape, np.nan), 0.0
     for row, reading in enumerate(readings):
-        seen = np.isfinite(reading)
-        C, S, R = model.C[seen], model.S[:, seen], model.R[np.ix_(seen, seen)]
+        present = np.isfinite(reading)
+        C, S, R = model.C[present], model.S[:, present], model.R[np.ix_(present, present)]
         cholesky = np.linalg.cholesky(C @ P @ C.T + R)
-        scaled = scipy.linalg.solve_triangular(cholesky, reading[seen] - C @ state, lower=True)
+        scaled = scipy.linalg.solve_triangular(cholesky, reading[present] - C @ state, lower=True)
         gain = scipy.linalg.solve_triangular(cholesky, (model.A @ P @ C.T + S).T, lower=True).T
-        total -= np.log(np.diag(cholesky)).sum() + (scaled @ scaled + seen.sum() * np.log(2 * np.pi)) / 2
-        whitened[row, seen] = scaled
+        total -= np.log(np.diag(cholesky)).sum() + (scaled @ scaled + present.sum() * np.log(2 * np.pi)) / 2
+        whitened[row, present] = scaled
         state = model.A @ state + gain @ scaled
         P = model.A @ P @ model.A.T + model.Q - gain @ gain.T
         P = (P + P.T) / 2

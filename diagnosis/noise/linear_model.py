@@ -47,8 +47,8 @@ class LinearModel:
         for name, shape in shapes.items():
             if getattr(self, name) is ABSENT:
                 object.__setattr__(self, name, np.full(shape, np.nan if name == "start_std" else 0.0))
-            if (given := np.shape(getattr(self, name))) != shape:
-                raise ValueError(f"{name} is {given}; {n} states, {k} noises and {m} outputs need {shape}.")
+            if (actual := np.shape(getattr(self, name))) != shape:
+                raise ValueError(f"{name} is {actual}; {n} states, {k} noises and {m} outputs need {shape}.")
         for names in (self.states, self.noises, self.outputs):
             if len(set(names)) < len(names):
                 raise ValueError(f"a name occurs twice among {', '.join(names)}; give each its own.")

@@ -9,11 +9,11 @@ from dynamics.arrays import Floats
 
 def log_density(values: Floats, covariance: Floats) -> float:
     """Logarithm of the density of a zero-mean Gaussian vector; NaN entries are left out."""
-    seen = np.isfinite(values)
-    kept = covariance[np.ix_(seen, seen)]
-    sign, log_determinant = np.linalg.slogdet(2 * np.pi * kept)
+    present = np.isfinite(values)
+    observed = covariance[np.ix_(present, present)]
+    sign, log_determinant = np.linalg.slogdet(2 * np.pi * observed)
     assert sign > 0
-    return float(-(log_determinant + values[seen] @ np.linalg.solve(kept, values[seen])) / 2)
+    return float(-(log_determinant + values[present] @ np.linalg.solve(observed, values[present])) / 2)
 
 
 def lags(count: int, period: float) -> Floats:

@@ -115,19 +115,21 @@ def test_two_half_steps_are_one_step(name: str) -> None:
         )
 
 
-def _close(found: Floats, expected: Floats) -> None:
+def _close(computed: Floats, expected: Floats) -> None:
     """Equal by the size of their diagonals, which are of different units."""
     size = np.sqrt(np.abs(np.diag(expected)))
-    np.testing.assert_array_less(np.abs(found - expected), 1e-8 * np.outer(size, size) + 1e-300)
+    np.testing.assert_array_less(np.abs(computed - expected), 1e-8 * np.outer(size, size) + 1e-300)
 
 
 @pytest.mark.parametrize("period", [0.003, 0.1, 1.5])
 def test_the_discretisation_is_the_integral(period: float) -> None:
     model = compose([gauss_markov("x", 0.3, 0.006), gauss_markov("y", 0.2, 3.0), random_walk("z", 0.1, 1.0)])
-    found = discretise(model, period)
-    np.testing.assert_allclose(found.A, np.diag(np.exp(-period / np.array([0.006, 3.0, np.inf]))), rtol=1e-11, atol=0)
+    computed = discretise(model, period)
+    np.testing.assert_allclose(
+        computed.A, np.diag(np.exp(-period / np.array([0.006, 3.0, np.inf]))), rtol=1e-11, atol=0
+    )
     variances = [0.09 * -np.expm1(-2 * period / 0.006), 0.04 * -np.expm1(-2 * period / 3.0), 0.01 * period]
-    np.testing.assert_allclose(found.Q, np.diag(variances), rtol=1e-10, atol=0)
+    np.testing.assert_allclose(computed.Q, np.diag(variances), rtol=1e-10, atol=0)
 
 
 def test_what_has_no_value_is_refused() -> None:
@@ -203,8 +205,8 @@ def test_an_estimators_error_moves_as_that_of_a_strapdown_integration() -> None:
         s, t = s + step * v + step**2 / 2 * push, t + step * u + step**2 / 2 * push_error
         v, u = v + step * push, u + step * push_error
         R, E = R * Rotation.from_rotvec(rate * step), E * Rotation.from_rotvec((rate + errors[:3]) * step)
-    found = np.concatenate([(R.inv() * E).as_rotvec(), R.inv().apply(u - v), R.inv().apply(t - s)])
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-10)
+    computed = np.concatenate([(R.inv() * E).as_rotvec(), R.inv().apply(u - v), R.inv().apply(t - s)])
+    np.testing.assert_allclose(computed, expected, rtol=2e-4, atol=1e-10)
 
 
 @pytest.mark.parametrize("m", [1, 2, 5, 40])

@@ -117,8 +117,8 @@ def test_an_estimator_shares_the_noise_of_the_gyro_that_it_integrates() -> None:
     names = "integrating_estimator gyro accelerometer"
     for attitude, gyro in (series, with_gaps(series.T, 6).T, series[:, ::-1]):
         expected = gaussian.log_density(np.concatenate([attitude, gyro]), covariance)
-        found = filtered(names, INTEGRATING, {"attitude_z": attitude, "gyro_z": gyro})
-        assert found.log_likelihood == pytest.approx(expected, rel=1e-9)
+        computed = filtered(names, INTEGRATING, {"attitude_z": attitude, "gyro_z": gyro})
+        assert computed.log_likelihood == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_likelihood_says_whether_an_estimator_integrates_the_logged_gyro() -> None:
@@ -148,24 +148,25 @@ def ljung_box(residuals: Floats, lags: int = 20) -> float:
     return float(stats.chi2.sf(n * (n + 2) * np.sum(correlations**2 / (n - np.arange(1, lags + 1))), lags))
 
 
-def levels(model: LinearModel, covariance: Floats, period: float) -> list[float]:
-    """Levels of the innovations of 100 series that are drawn from a covariance."""
-    discrete, start, cholesky = discretise(model, period), model.start_covariance(), np.linalg.cholesky(covariance)
+def levels(model: LinearModel, covariance: Floats, count: int) -> list[float]:
+    """Levels of the innovations of some series that are drawn from a covariance."""
+    discrete, start, cholesky = discretise(model, PERIOD), model.start_covariance(), np.linalg.cholesky(covariance)
     result = []
-    for seed in range(100):
+    for seed in range(count):
         series = cholesky @ np.random.default_rng([11, seed]).standard_normal(len(covariance))
         result.append(ljung_box(filter_rows(discrete, start, series[:, None]).whitened[:, 0]))
     return result
 
 
 def test_innovations_are_white_at_the_level_and_not_with_one_time_scale_of_two() -> None:
-    lag = gaussian.lags(400, PERIOD)
-    covariance = gaussian.exponential(lag, 0.3, 0.03) + gaussian.exponential(lag, 0.3, 1.0) + 1e-3 * np.eye(400)
+    def covariance(rows: int) -> Floats:
+        lag = gaussian.lags(rows, PERIOD)
+        return gaussian.exponential(lag, 0.3, 0.03) + gaussian.exponential(lag, 0.3, 1.0) + 1e-3 * np.eye(rows)
+
     noise = read_noise("force_x", 1e-3)
-    true = compose([gauss_markov("force_x", 0.3, 0.03), LinearModel(
-        ("slow",), ("slow",), ("force_x",), -np.eye(1), np.eye(1), np.eye(1), np.full(1, 0.18)), noise])  # fmt: skip
-    found = levels(true, covariance, PERIOD)
-    assert stats.kstest(found, "uniform").pvalue > 0.001
-    assert stats.binomtest(sum(level < 0.05 for level in found), 100, 0.05).pvalue > 0.001
+    slow = LinearModel(("s",), ("s",), ("force_x",), -np.eye(1), np.eye(1), np.eye(1), np.full(1, 0.18))
+    computed = levels(compose([gauss_markov("force_x", 0.3, 0.03), slow, noise]), covariance(300), 100)
+    assert stats.kstest(computed, "uniform").pvalue > 0.001
+    assert stats.binomtest(sum(level < 0.05 for level in computed), 100, 0.05).pvalue > 0.001
     single = compose([gauss_markov("force_x", 0.3 * np.sqrt(2), 0.3), noise])
-    assert np.mean(np.array(levels(single, covariance, PERIOD)) < 0.05) > 0.9
+    assert np.mean(np.array(levels(single, covariance(600), 15)) < 0.05) > 0.9

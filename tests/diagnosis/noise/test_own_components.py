@@ -87,8 +87,8 @@ def test_a_file_adds_a_component_that_composes_with_the_catalogues(tmp_path: Pat
     series = np.linalg.cholesky(covariance) @ np.random.default_rng(2).standard_normal(count)
     readings[:, model.outputs.index("accelerometer_z")] = series
     discrete = discretise(model, HOVER.period, model.outputs)
-    found = filter_rows(discrete, model.start_covariance(), readings).log_likelihood
-    assert found == pytest.approx(gaussian.log_density(series, covariance), rel=1e-7)
+    computed = filter_rows(discrete, model.start_covariance(), readings).log_likelihood
+    assert computed == pytest.approx(gaussian.log_density(series, covariance), rel=1e-7)
 
 
 @pytest.mark.parametrize(("before", "after", "reason"), [
