@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 import scipy
@@ -12,7 +13,7 @@ from diagnosis.noise.component import Component, FlightConditions, Hyperparamete
 from diagnosis.noise.components import CATALOGUE
 from diagnosis.noise.composition import Composition
 from diagnosis.noise.discretisation import discretise
-from diagnosis.noise.linear_model import LinearModel, compose, gauss_markov, random_walk, white
+from diagnosis.noise.linear_model import LinearModel, compose, gauss_markov, random_walk, read_noise, white
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
@@ -172,6 +173,15 @@ def test_the_composition_is_block_diagonal_but_for_shared_noise() -> None:
     assert not np.isnan(model.Qc).any()
 
 
+def test_outputs_of_one_name_add_and_noises_of_one_name_are_one() -> None:
+    twice = compose(
+        [white("y", 0.3, noise="w"), white("y", 0.3, noise="w"), read_noise("y", 2.0), read_noise("y", 3.0)]
+    )
+    assert discretise(twice, 0.5, {"y"}).R == pytest.approx((2 * 0.3) ** 2 / 0.5 + 2.0 + 3.0)
+    apart = compose([white("y", 0.3, noise="w"), white("y", 0.3, noise="v")])
+    assert discretise(apart, 0.5, {"y"}).R == pytest.approx(2 * 0.3**2 / 0.5)
+
+
 def test_an_estimators_error_moves_as_that_of_a_strapdown_integration() -> None:
     """Error and constant errors of the sensors, integrated with rotations of any size, against the linear model."""
     random = np.random.default_rng(3)
@@ -226,7 +236,8 @@ def test_commands_between_rows_vary_as_a_sampled_random_walk(m: int) -> None:
 
 
 def test_a_rotors_turbulence_acts_at_its_place() -> None:
-    for vehicle in VEHICLES:
+    off_centre = msgspec.structs.replace(VEHICLES[0].body, centre_of_mass=(0.01, -0.02, 0.005))
+    for vehicle in (*VEHICLES, msgspec.structs.replace(VEHICLES[0], body=off_centre)):
         at = conditions(vehicle, np.random.default_rng(4))
         model = Composition((CATALOGUE["rotor_turbulence"],)).model(
             {"rotor_turbulence.share": 0.02, "rotor_turbulence.time": 0.1}, at
