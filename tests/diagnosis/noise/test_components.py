@@ -177,9 +177,11 @@ def test_outputs_of_one_name_add_and_noises_of_one_name_are_one() -> None:
     twice = compose(
         [white("y", 0.3, noise="w"), white("y", 0.3, noise="w"), read_noise("y", 2.0), read_noise("y", 3.0)]
     )
-    assert discretise(twice, 0.5, {"y"}).R == pytest.approx((2 * 0.3) ** 2 / 0.5 + 2.0 + 3.0)
+    shared = discretise(twice, 0.5, {"y"}).R.item()
+    assert shared == pytest.approx((2 * 0.3) ** 2 / 0.5 + 2.0 + 3.0)
     apart = compose([white("y", 0.3, noise="w"), white("y", 0.3, noise="v")])
-    assert discretise(apart, 0.5, {"y"}).R == pytest.approx(2 * 0.3**2 / 0.5)
+    separate = discretise(apart, 0.5, {"y"}).R.item()
+    assert separate == pytest.approx(2 * 0.3**2 / 0.5)
 
 
 def test_an_estimators_error_moves_as_that_of_a_strapdown_integration() -> None:
