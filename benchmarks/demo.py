@@ -201,10 +201,11 @@ def busy(words: Sequence[str]) -> Page:
         "| --- | --- |",
         f"| busy loops, demos at once, cores | {arguments.loops}, {arguments.jobs}, {results[0]['cores']} |",
         f"| demos that ended with exit 0 | {len(passed)} of {len(results)} |",
-        f"| different tables of tracking errors, of {len(figures)} that were compared | {len(set(figures))} |",
         f"| duration s, median (least to largest) | {_range(seconds)} |",
         f"| processor time s | {_range(processor)} |",
     ]
+    if figures:
+        rows.append(f"| different tables of tracking errors, of {len(figures)} | {len(set(figures))} |")
     rows += [f"| demo {r['key']} | exit {r['exit']}: {r['end']} |" for r in results if r["exit"]]
     return Page("demo_busy", "The demo beside other work", "\n".join(rows))
 

@@ -310,11 +310,12 @@ class _Indicators:
         for start, stop in runs(_grown(jumps > 0.0, width)):
             rows = slice(start, stop)
             span = min(stop - start, self.count - 1)
-            changes = np.linalg.norm(strange[span:] - strange[:-span], axis=1)
-            change = changes[min(start, len(changes) - 1)]
+            differences = np.linalg.norm(strange[span:] - strange[:-span], axis=1)
+            change = differences[min(start, len(differences) - 1)]
             impulse = float(jumps[rows].sum()) * self.period
-            told = np.isfinite(change) and np.median(changes[np.isfinite(changes)]) < 0.5 * BLOW_SHARE * impulse
-            if told and change < BLOW_SHARE * impulse and smooth_turning[rows].all():
+            finite = differences[np.isfinite(differences)]
+            shows = np.isfinite(change) and np.median(finite) < 0.5 * BLOW_SHARE * impulse
+            if shows and change < BLOW_SHARE * impulse and smooth_turning[rows].all():
                 unfelt[rows] = jumps[rows] > 0.0
         return unfelt
 

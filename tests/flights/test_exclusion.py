@@ -124,8 +124,8 @@ def test_an_accelerometer_that_clips_while_the_motion_is_smooth_is_no_impact(spi
 def test_a_jump_is_an_impact_where_the_motion_is_not_known(without: str) -> None:
     columns = hovering()
     columns["specific_force_x"][rows(15, 15.02)] = 60.0
-    kept = {name: values for name, values in columns.items() if not name.startswith(without)}
-    assert [item.reason for item in find_exclusions(flight(kept))] == ["impact"]
+    remaining = {name: values for name, values in columns.items() if not name.startswith(without)}
+    assert [item.reason for item in find_exclusions(flight(remaining))] == ["impact"]
 
 
 def test_a_blow_that_only_turns_the_vehicle_is_an_impact() -> None:
