@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import dash_mantine_components as dmc
@@ -12,6 +13,7 @@ from studio.app.heads import head, lock
 from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, message, table
 from studio.app.theme import figure_of
+from studio.case.commands import repair_command
 from studio.work.results import Checked, FlightInfo
 
 
@@ -27,6 +29,8 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
         return dmc.Stack(parts + waiting, gap="md")
     for number, (info, inspection) in enumerate(zip(checked.flights, checked.by_log, strict=True)):
         parts.append(_log(number, info, inspection, checked, scheme))
+        if any(one.repair for one in info.hypotheses):
+            parts.append(_repair(number, repair_command(opened.case, Path(info.path))))
     if checked.usable:
         parts.append(dcc.Link("Next: compare the model with the measurement", href=f"/case/{name}/compare"))
     else:
@@ -39,7 +43,9 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
 
 def _log(number: int, info: FlightInfo, inspection: Inspection | None, checked: Checked, scheme: str) -> Any:
     if inspection is None:
-        return card(info.name, message(info.refused, title="This log cannot be read", colour="red"))
+        is_explained = bool(info.hypotheses) and all(one.text in info.refused for one in info.hypotheses)
+        refused = None if is_explained else message(info.refused, title="This log cannot be read", colour="red")
+        return card(info.name, refused, _hypotheses(info))
     able = [e for e in inspection.effects if e.answer != "no"]
     unable = [e for e in inspection.effects if e.answer == "no"]
     facts = (
@@ -62,6 +68,7 @@ def _log(number: int, info: FlightInfo, inspection: Inspection | None, checked: 
         dmc.Group([badge(inspection.verdict), dmc.Text(inspection.sentence, fw=600)]),
         dmc.Text(facts, size="sm", c="dimmed"),
         findings if inspection.findings else dmc.Text("Nothing was found wrong with it.", c="dimmed"),
+        _hypotheses(info),
         _advice(inspection),
         table(
             f"check-{number}-effects",
@@ -74,6 +81,34 @@ def _log(number: int, info: FlightInfo, inspection: Inspection | None, checked: 
         ),
         grid(*drawn) if drawn else None,
         _channels(number, inspection),
+    )
+
+
+def _hypotheses(info: FlightInfo) -> Any:
+    """Statements about columns that are not what they declare, each with its evidence and what repairs it."""
+    if not info.hypotheses:
+        return None
+    lines = [
+        html.Li(
+            [
+                html.B(f"{one.text}. "),
+                f"Evidence: {one.evidence}." if one.evidence else "",
+                html.Pre(one.repair, className="command") if one.repair else " Convert it, or give a column mapping.",
+            ]
+        )
+        for one in info.hypotheses
+    ]
+    convention = dmc.Text("Wanted: SI units, ENU and FLU, by one clock.", size="sm")
+    title = "Columns of this log are not what they declare"
+    return dmc.Alert([html.Ul(lines), convention], title=title, color="red", variant="light")
+
+
+def _repair(number: int, command: str) -> Any:
+    """The command that writes the repairs of a log, and what to do with its file."""
+    return card(
+        "Repair it",
+        command_box(command, name=f"check-{number}-repair", label="Write a mapping file with these repairs:"),
+        dmc.Text("Then name that file under Column mapping in step 1: the logs are read by it.", size="sm"),
     )
 
 

@@ -53,16 +53,16 @@ def card(title: str, *children: Any, note: str = "") -> Any:
     return dmc.Card([dmc.Stack([*head, *children], gap="xs")], withBorder=True, radius="md", padding="md")
 
 
-def command_box(command: str, *, name: str = "command") -> Any:
-    """The command line that does the same, with a button that copies it."""
+def command_box(command: str, *, name: str = "command", label: str = "The same as a command:") -> Any:
+    """The command line that does the same, or what its label says, with a button that copies it."""
     box = html.Pre(command, id=name, tabIndex=0, className="command")
     copy = dcc.Clipboard(target_id=name, title="copy the command", className="copy")
-    return html.Div([dmc.Text("The same as a command:", size="sm", c="dimmed"), html.Div([box, copy], className="row")])
+    return html.Div([dmc.Text(label, size="sm", c="dimmed"), html.Div([box, copy], className="row")])
 
 
 def message(text: str, *, title: str, colour: str = "blue") -> Any:
-    """A sentence that a user must not miss."""
-    return dmc.Alert(text, title=title, color=colour, variant="light", role="status")
+    """A sentence that a user must not miss, and that a screen reader says at once: the component is an alert."""
+    return dmc.Alert(text, title=title, color=colour, variant="light")
 
 
 def out_of_date(step: str, *, running: bool) -> Any:

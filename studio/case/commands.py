@@ -37,6 +37,12 @@ def command(case: Case, step: str, *, effect: str = "", reference: str = "", tri
     return shlex.join([*words, *_option("--rotor", rotor.rstrip("]"))])
 
 
+def repair_command(case: Case, log: Path) -> str:
+    """The command line that writes a mapping file with the repairs of a log, beside where it is run."""
+    words = ["alula", "inspect", str(log), *_mapping(case), *_system(case)]
+    return shlex.join([*words, "--repair", f"{log.name.partition('.')[0]}_repaired.toml"])
+
+
 def script(case: Case) -> str:
     """A shell script that goes the way of the present version again: what was undone is not in it.
 

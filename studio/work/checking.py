@@ -13,16 +13,18 @@ from dynamics.errors import AlulaError
 from dynamics.files import make_folder, write_json
 from dynamics.progress import Progress
 from flights import Flight, Log
+from flights.hypotheses import explain
 from flights.quality import Inspection
 from flights.quality.inspection import judge
 from flights.quantities import QUANTITIES
+from flights.reading import found_hypotheses
 from runtime.flight_setup import VEHICLE_TEXT
 from runtime.record.recording import read_attachments
 from studio.pages.flight_panels import ANGLES, ANGLES_SETPOINT, drawn_columns, quantities_of
 from studio.pages.inspected import coverage_maps, delay_points
 from studio.work.arrays import write_arrays
 from studio.work.memory import CaseMemory
-from studio.work.results import FILES, FLIGHTS, Checked, ColumnInfo, FlightInfo, PictureInfo
+from studio.work.results import FILES, FLIGHTS, Checked, ColumnInfo, FlightInfo, HypothesisInfo, PictureInfo
 from studio.work.rows import picture_info
 from studio.work.task import Task
 
@@ -68,7 +70,8 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
                 raise log
             flight = Flight.from_log(log)
         except AlulaError as error:
-            infos.append(FlightInfo(Path(path).name, path, refused=str(error)))
+            hypotheses = _hypotheses(task, path, log)
+            infos.append(FlightInfo(Path(path).name, path, refused=str(error), hypotheses=hypotheses))
             flights.append(None)
             continue
         drawn, kinds = drawn_columns(flight), quantities_of(flight)
@@ -76,12 +79,34 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
         write_arrays(part, {f"time_{number}": flight.time, f"table_{number}": table})
         columns = tuple(ColumnInfo(name, kinds[name], UNITS[kinds[name]]) for name in drawn)
         name, flown = Path(path).name, _flown(path)
-        infos.append(FlightInfo(name, path, flight.duration, flight.rate, columns, vehicle=flown, events=log.events))
+        infos.append(
+            FlightInfo(
+                name,
+                path,
+                flight.duration,
+                flight.rate,
+                columns,
+                vehicle=flown,
+                events=log.events,
+                hypotheses=_hypotheses(task, path, log),
+            )
+        )
         flights.append(flight)
     write_json(infos, part / FLIGHTS)
     shutil.rmtree(target, ignore_errors=True)
     part.rename(target)
     return infos, flights
+
+
+def _hypotheses(task: Task, path: str, log: Log | AlulaError) -> tuple[HypothesisInfo, ...]:
+    """Hypotheses about a log's columns; none about one that cannot be read for another reason."""
+    try:
+        hypotheses = (
+            explain(log.streams) if isinstance(log, Log) else found_hypotheses(path, mapping=task.mapping or None)
+        )
+    except AlulaError:
+        return ()
+    return tuple(HypothesisInfo(one.text, one.evidence, one.lines if one.repairs else "") for one in hypotheses)
 
 
 def _flown(path: str) -> str:

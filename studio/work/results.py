@@ -23,6 +23,17 @@ class ColumnInfo(msgspec.Struct, frozen=True):
     unit: str
 
 
+class HypothesisInfo(msgspec.Struct, frozen=True):
+    """A log's columns as they are and not as declared: statement, evidence, line of a mapping file that repairs it.
+
+    repair: empty where none does.
+    """
+
+    text: str
+    evidence: str
+    repair: str
+
+
 class FlightInfo(msgspec.Struct, frozen=True):
     """A log's table, or why there is none.
 
@@ -34,6 +45,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     refused: the reader's message.
     vehicle: text of the vehicle file that a recording holds, empty where there is none.
     events: the autopilot's modes and messages.
+    hypotheses: about columns that are not what they declare.
     """
 
     name: str
@@ -44,6 +56,7 @@ class FlightInfo(msgspec.Struct, frozen=True):
     refused: str = ""
     vehicle: str = ""
     events: tuple[Event, ...] = ()
+    hypotheses: tuple[HypothesisInfo, ...] = ()
 
 
 class PictureInfo(msgspec.Struct, frozen=True):
