@@ -34,19 +34,19 @@ def _checked(opened: OpenCase, log: Path, mapping: Path | None = None) -> str:
 
 def _commands(page: str) -> list[str]:
     """The texts that a button copies."""
-    found: list[str] = []
+    texts: list[str] = []
 
     def walk(part: Any) -> None:
         if isinstance(part, dict):
             if part.get("type") == "Pre" and part["props"].get("id"):
-                found.append(part["props"]["children"])
+                texts.append(part["props"]["children"])
             part = list(part.values())
         if isinstance(part, list):
             for child in part:
                 walk(child)
 
     walk(json.loads(page))
-    return found
+    return texts
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,6 @@ def test_every_property_of_a_component_exists() -> None:
     assert len(calls) > 100
     wrong = []
     for place, library, name, properties in calls:
-        known = inspect.signature(getattr(LIBRARIES[library], name).__init__).parameters
-        wrong += [f"{place}: {library}.{name} has no {one}" for one in properties if one not in known]
+        declared = inspect.signature(getattr(LIBRARIES[library], name).__init__).parameters
+        wrong += [f"{place}: {library}.{name} has no {one}" for one in properties if one not in declared]
     assert wrong == []
