@@ -47,7 +47,8 @@ def test_every_threshold_has_a_line_with_its_origin(name, group):
 def test_no_numeric_constant_of_a_module_is_outside():
     outside = set()
     for path in ROOM.rglob("*.py"):
-        if path.parent.name in ("thresholds", "experiment"):  # a manoeuvre decides no verdict
+        # a manoeuvre decides no verdict; a component of noise holds its priors, as an effect its bounds
+        if {"thresholds", "experiment", "noise"} & set(path.relative_to(ROOM).parts):
             continue
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.Assign) and any(
