@@ -31,7 +31,7 @@ def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
     if not reading.closures or max(reading.closures) < CLOSES:
         return []
     lateral = pose.lateral_turn(motion, reading)
-    turns = pose.turns_of(reading, lateral)
+    turns = pose.turns_of(reading, None if lateral is None else lateral.turn)
     repairs = _pose_repairs(reading, turns, streams)
     if not repairs:
         return []
@@ -44,6 +44,10 @@ def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
         for name, fit, plain in pairs
         if fit is not None
     ]
+    if lateral is not None:
+        closes.append(
+            f"lateral force follows what the motion needs by {lateral.agreed:.2f} then, {lateral.declared:.2f} before"
+        )
     evidence = "; ".join(closes)
     return [Hypothesis(_name(reading, turns), _text(reading, turns), evidence, tuple(repairs))]
 

@@ -180,8 +180,21 @@ def _direction(vectors: Floats) -> Floats:
     return np.asarray(median / size) if size > 0.0 else np.array([0.0, 0.0, 1.0])
 
 
-def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
-    """(3, 3) turn about z from the attitude's body to the accelerometer, by lateral force; None where none is clear.
+@dataclass(frozen=True, eq=False)
+class Lateral:
+    """Turn of the accelerometer about z by lateral force.
+
+    turn: (3, 3) from the attitude's body to the accelerometer.
+    agreed, declared: correlation of lateral force with what the motion needs, by this turn and as declared.
+    """
+
+    turn: Floats
+    agreed: float
+    declared: float
+
+
+def lateral_turn(motion: Motion, reading: Reading) -> Lateral | None:
+    """Turn from the attitude's body to the accelerometer, by lateral force; None where none is clear.
 
     Along body x and y a multirotor's accelerometer reads little but the drag, so that only brisk flights tell.
     """
@@ -212,7 +225,8 @@ def lateral_turn(motion: Motion, reading: Reading) -> Floats | None:
     is_mirrored = float(np.linalg.norm(mirrored)) > float(np.linalg.norm(proper)) + _CLEARER
     cosine, sine = (mirrored if is_mirrored else proper) / np.linalg.norm(mirrored if is_mirrored else proper)
     hand = -1.0 if is_mirrored else 1.0
-    return snapped(np.array([[cosine, -hand * sine, 0.0], [sine, hand * cosine, 0.0], [0.0, 0.0, 1.0]]))
+    turn = snapped(np.array([[cosine, -hand * sine, 0.0], [sine, hand * cosine, 0.0], [0.0, 0.0, 1.0]]))
+    return Lateral(turn, best, float(proper[0]))
 
 
 def _without_lever(motion: Motion, values: Floats, finite: NDArray[np.bool_]) -> Floats:
