@@ -321,9 +321,9 @@ class _Indicators:
 
     def _usual(self, values: Floats) -> Floats:
         """Values without what lasts less than a tenth of a second, by the median of each column."""
-        rows = 2 * self.rows(0.1) + 1
-        size = rows if values.ndim == 1 else (rows, 1)
-        return np.asarray(scipy.ndimage.median_filter(np.nan_to_num(values), size=size))
+        columns = np.nan_to_num(values).reshape(len(values), -1).T
+        smooth = [scipy.ndimage.median_filter(column, size=2 * self.rows(0.1) + 1) for column in columns]  # 30 times
+        return np.stack(smooth, axis=1).reshape(values.shape)  # as fast as one filter of the table
 
     def fallen(self) -> Rows:
         """Lying at an angle without moving."""

@@ -68,6 +68,14 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
+class ContradictedLogError(DataError):
+    """A log whose columns are not what they declare. hypotheses: about what they are, with repairs."""
+
+    def __init__(self, message: str, hypotheses: tuple[Hypothesis, ...] = ()) -> None:
+        super().__init__(message)
+        self.hypotheses = hypotheses
+
+
 def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str | None = None) -> Log:
     """The streams of any log, gzipped or not.
 
@@ -218,7 +226,7 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     notes = list(content.notes)
     hypotheses = explain(content.streams)
     if hypotheses and not form.declares_frames:
-        raise DataError(f"{path}: {in_words(hypotheses)}")
+        raise ContradictedLogError(f"{path}: {in_words(hypotheses)}", hypotheses)
     notes += map(str, hypotheses)
     provenance = Provenance(
         str(path),

@@ -208,9 +208,9 @@ def _parts(group: Group, table: Floats) -> list[Group]:
         take("", turned, 4)
         if turned >= 3:
             take("position", turned - 3, 3)
-    for count in range(8, 2, -1):
+    for count in range(8, 3, -1):
         rotors = _first(left, count, lambda part: _all_turn(part) and len(moving_columns(part)) == part.shape[1], table)
-        if rotors is not None and count > 3:
+        if rotors is not None:
             take("", rotors, count)
             break
     force = _first(left, 3, lambda part: _GRAVITY[0] < float(np.nanmedian(_length(part))) < _GRAVITY[1], table)

@@ -20,8 +20,8 @@ from flights.assembly import Assembly
 from flights.readers.unused_groups import MAX_NUMBERS, keep_groups
 
 MAX_BYTES = 4096  # of a message
-MAX_ROWS = 2_000  # of a topic
-MAX_MESSAGES = 20_000  # of all topics: half a second
+MAX_ROWS = 500  # of a topic
+MAX_MESSAGES = 4_000  # of all topics: a tenth of a second
 MAX_TOPICS = 64
 _BYTES = frozenset({"byte", "char", "uint8", "int8", "octet"})
 _BULK = re.compile(

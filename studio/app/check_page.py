@@ -68,7 +68,6 @@ def _log(number: int, info: FlightInfo, inspection: Inspection | None, checked: 
         dmc.Group([badge(inspection.verdict), dmc.Text(inspection.sentence, fw=600)]),
         dmc.Text(facts, size="sm", c="dimmed"),
         findings if inspection.findings else dmc.Text("Nothing was found wrong with it.", c="dimmed"),
-        _hypotheses(info),
         _advice(inspection),
         table(
             f"check-{number}-effects",

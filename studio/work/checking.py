@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from diagnosis.vehicle_from_logs import layout_of
@@ -13,11 +15,11 @@ from dynamics.errors import AlulaError
 from dynamics.files import make_folder, write_json
 from dynamics.progress import Progress
 from flights import Flight, Log
-from flights.hypotheses import explain
+from flights.hypotheses import Hypothesis, explain
 from flights.quality import Inspection
 from flights.quality.inspection import judge
 from flights.quantities import QUANTITIES
-from flights.reading import found_hypotheses
+from flights.reading import ContradictedLogError
 from runtime.flight_setup import VEHICLE_TEXT
 from runtime.record.recording import read_attachments
 from studio.pages.flight_panels import ANGLES, ANGLES_SETPOINT, drawn_columns, quantities_of
@@ -42,7 +44,10 @@ def check(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> N
         if not isinstance(log, Log) or flight is None:
             inspections.append(None)
             continue
-        inspections.append(judge(log, catalogue) if catalogue else judge(log))
+        inspection = judge(log, catalogue) if catalogue else judge(log)
+        if inspection.verdict == "unusable":  # perhaps for its columns: what repairs them
+            infos[number] = msgspec.structs.replace(infos[number], hypotheses=_hypotheses(explain(log.streams)))
+        inspections.append(inspection)
     pictures = tuple(_pictures(one) for one in inspections)
     write_json(Checked(tuple(infos), tuple(inspections), pictures, _has_layout(flights)), folder / FILES[Checked])
 
@@ -70,7 +75,8 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
                 raise log
             flight = Flight.from_log(log)
         except AlulaError as error:
-            hypotheses = _hypotheses(task, path, log)
+            explained = error.hypotheses if isinstance(error, ContradictedLogError) else ()
+            hypotheses = _hypotheses(explained)
             infos.append(FlightInfo(Path(path).name, path, refused=str(error), hypotheses=hypotheses))
             flights.append(None)
             continue
@@ -79,18 +85,7 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
         write_arrays(part, {f"time_{number}": flight.time, f"table_{number}": table})
         columns = tuple(ColumnInfo(name, kinds[name], UNITS[kinds[name]]) for name in drawn)
         name, flown = Path(path).name, _flown(path)
-        infos.append(
-            FlightInfo(
-                name,
-                path,
-                flight.duration,
-                flight.rate,
-                columns,
-                vehicle=flown,
-                events=log.events,
-                hypotheses=_hypotheses(task, path, log),
-            )
-        )
+        infos.append(FlightInfo(name, path, flight.duration, flight.rate, columns, vehicle=flown, events=log.events))
         flights.append(flight)
     write_json(infos, part / FLIGHTS)
     shutil.rmtree(target, ignore_errors=True)
@@ -98,14 +93,8 @@ def _write_flights(task: Task, logs: list[Log | AlulaError]) -> tuple[list[Fligh
     return infos, flights
 
 
-def _hypotheses(task: Task, path: str, log: Log | AlulaError) -> tuple[HypothesisInfo, ...]:
-    """Hypotheses about a log's columns; none about one that cannot be read for another reason."""
-    try:
-        hypotheses = (
-            explain(log.streams) if isinstance(log, Log) else found_hypotheses(path, mapping=task.mapping or None)
-        )
-    except AlulaError:
-        return ()
+def _hypotheses(hypotheses: Sequence[Hypothesis]) -> tuple[HypothesisInfo, ...]:
+    """Hypotheses about a log's columns, as the page has them."""
     return tuple(HypothesisInfo(one.text, one.evidence, one.lines if one.repairs else "") for one in hypotheses)
 
 

@@ -30,6 +30,7 @@ NO_THRESHOLDS = {
     "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
+    "FREQUENCIES", "AGREEMENT",  # a component of noise and its own spectrum, to rounding
 }  # fmt: skip
 
 
@@ -48,7 +49,7 @@ def test_no_numeric_constant_of_a_module_is_outside():
     outside = set()
     for path in ROOM.rglob("*.py"):
         # a manoeuvre decides no verdict; a component of noise holds its priors, as an effect its bounds
-        if {"thresholds", "experiment", "noise"} & set(path.relative_to(ROOM).parts):
+        if path.parent.name in ("thresholds", "experiment", "components"):
             continue
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.Assign) and any(

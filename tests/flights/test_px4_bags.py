@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -20,6 +19,7 @@ from flights.pose_source import source_of
 from flights.stated_frame import stated_layout
 from tests.support.flight_files import Truth, manoeuvre
 from tests.support.px4_bag import RECORDED, px4_bag, write_mocap
+from tests.support.topic_bag import decoded_types
 
 SINGLE = 1e-5  # of single precision at these sizes
 
@@ -107,14 +107,7 @@ def test_images_are_not_decoded(
 ) -> None:
     """Of a bag with cameras only the flight's topics are decoded; of one with cameras alone, nothing."""
     path = _camera_bag(tmp_path / "bag", truth if with_pose else None, storage)
-    decoded: list[str] = []
-    usual = AnyReader.deserialize
-
-    def deserialize(self: AnyReader, raw: bytes, kind: str) -> Any:
-        decoded.append(kind)
-        return usual(self, raw, kind)
-
-    monkeypatch.setattr(AnyReader, "deserialize", deserialize)
+    decoded = decoded_types(monkeypatch)
     if with_pose:
         assert read_log(path).stream("position") is not None
         assert set(decoded) == {"geometry_msgs/msg/PoseStamped"}

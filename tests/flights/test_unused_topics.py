@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
 from dynamics.arrays import Floats
@@ -17,7 +16,7 @@ from flights import Log, read_log
 from flights.log import UnusedStream
 from flights.quality.inspection import judge
 from tests.support.flight_files import Truth, manoeuvre
-from tests.support.topic_bag import BagTopic, array_of, pose_of, topic_bag
+from tests.support.topic_bag import BagTopic, array_of, decoded_types, pose_of, topic_bag
 
 MISSING = ("neither rotor speeds nor commands", "log them")
 STORAGES = [None, *StoragePlugin]
@@ -216,14 +215,7 @@ def test_bulk_is_not_decoded_and_what_is_decoded_is_bounded(
     wide = _array("/grid", np.tile(np.sin(truth.time)[:, None], 900))
     topics = [_pose(truth), _array("/rotor_speeds", truth.rotor_speed), wide, BagTopic("/bulk", kind, _bulk(kind))]
     path = topic_bag(truth.time, topics, tmp_path / "bag", StoragePlugin.MCAP)
-    decoded: list[str] = []
-    usual = AnyReader.deserialize
-
-    def deserialize(self: AnyReader, raw: bytes, kind: str) -> Any:
-        decoded.append(kind)
-        return usual(self, raw, kind)
-
-    monkeypatch.setattr(AnyReader, "deserialize", deserialize)
+    decoded = decoded_types(monkeypatch)
     log = read_log(path)
     assert kind not in decoded
     assert 50 <= decoded.count("std_msgs/msg/Float32MultiArray") <= 100

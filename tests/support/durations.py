@@ -33,7 +33,8 @@ class Durations:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add one phase of one test."""
         phases = self._seconds.setdefault(report.nodeid, [0.0] * len(PHASES))
-        phases[PHASES.index(report.when)] += report.duration
+        if report.when in PHASES:  # none where the test's process was killed
+            phases[PHASES.index(report.when)] += report.duration
         if "long" in dict(report.user_properties):
             self._reasons.add(report.nodeid)
         if report.failed:

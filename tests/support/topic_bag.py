@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -68,3 +70,16 @@ def pose_of(types: Any, row: int, at: float, position: Any, attitude: Any) -> An
     point = types["geometry_msgs/msg/Point"](*map(float, position))
     pose = types["geometry_msgs/msg/Pose"](point, types["geometry_msgs/msg/Quaternion"](x, y, z, w))
     return types["geometry_msgs/msg/PoseStamped"](header_of(types, row, at), pose)
+
+
+def decoded_types(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The types of the messages that are decoded from now on, one for each message."""
+    decoded: list[str] = []
+    usual = AnyReader.deserialize
+
+    def deserialize(self: AnyReader, raw: bytes, kind: str) -> Any:
+        decoded.append(kind)
+        return usual(self, raw, kind)
+
+    monkeypatch.setattr(AnyReader, "deserialize", deserialize)
+    return decoded

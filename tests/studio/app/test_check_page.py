@@ -14,6 +14,8 @@ from plotly.utils import PlotlyJSONEncoder
 from studio.app import check_page
 from studio.app.opened import OpenCase
 from tests.support.command_line import command_line
+from tests.support.flight_files import manoeuvre
+from tests.support.px4_bag import px4_bag
 
 FIELD = Path(__file__).parents[2] / "data" / "field"
 MOCAP = FIELD / "05_mocap_axes"
@@ -86,6 +88,17 @@ def test_columns_that_are_not_as_declared_have_evidence_and_a_command_that_repai
     repaired = _checked(opened, log, tmp_path / words[-1])
     assert "--repair" not in repaired
     assert opened.status("check") == "done"
+
+
+def test_a_log_that_is_read_and_not_as_declared_says_so_once_beside_the_command(
+    opened: OpenCase, tmp_path: Path
+) -> None:
+    """As of an autopilot that was given motion capture in millimetres."""
+    truth = manoeuvre(duration=12.0, rate=100.0)
+    page = _checked(opened, px4_bag(truth._replace(position=1000 * truth.position), tmp_path / "bag"))
+    assert page.count("is in mm") == 1, page
+    (command,) = [command for command in _commands(page) if "--repair" in command]
+    assert "bag" in command
 
 
 def test_a_log_that_is_as_declared_has_nothing_to_repair(opened: OpenCase) -> None:
