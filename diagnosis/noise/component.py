@@ -23,7 +23,7 @@ Values = Mapping[str, float]
 CHANNELS: Mapping[str, str] = {
     "force": "N, body FLU",
     "torque": "N m, body FLU about the centre of mass",
-    "wind": "m/s, velocity of the air, world ENU",
+    "air": "m/s, its velocity, world ENU",
     "rotor_speed": "rad/s, of each rotor, from 0",
     "gyro": "rad/s, error of the reading",
     "accelerometer": "m/s^2, error of the reading",

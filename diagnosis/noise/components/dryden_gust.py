@@ -13,7 +13,7 @@ from diagnosis.noise.component import AXES, Component, FlightConditions, Hyperpa
 from diagnosis.noise.linear_model import LinearModel, chain, compose, gauss_markov, gauss_markov_density
 from dynamics.arrays import Floats
 
-OUTPUTS = tuple(f"wind_{axis}" for axis in AXES)
+OUTPUTS = tuple(f"air_{axis}" for axis in AXES)
 
 
 def passing_time(p: Values, c: FlightConditions) -> float:

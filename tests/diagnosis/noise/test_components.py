@@ -83,7 +83,7 @@ def test_the_integral_of_the_spectrum_is_the_stationary_variance(name: str) -> N
     ("turbulence", {"force_x": "force_xy", "force_z": "force_z", "torque_y": "torque_xy", "torque_z": "torque_z"}),
     ("slow_turbulence", {"force_y": "force_xy", "torque_z": "torque_z"}),
     ("smooth_estimator", {"attitude_x": "attitude_std", "velocity_y": "velocity_std", "position_z": "position_std"}),
-    ("dryden_gust", {"wind_x": "std", "wind_y": "std", "wind_z": "std"}),
+    ("dryden_gust", {"air_x": "std", "air_y": "std", "air_z": "std"}),
 ])  # fmt: skip
 def test_a_standard_deviation_is_that_of_its_output(name: str, sizes: dict[str, str]) -> None:
     for seed in range(4):

@@ -64,11 +64,11 @@ def with_gaps(values: Floats, seed: int) -> Floats:
         gaussian.smooth(gaussian.lags(COUNT, PERIOD), 0.02, 0.7, 0.05) + 0.003**2 / 3 * np.eye(COUNT),
     ),
     (
-        "dryden_gust", {"dryden_gust.std": 1.2, "dryden_gust.length": 0.6}, "wind_x",
+        "dryden_gust", {"dryden_gust.std": 1.2, "dryden_gust.length": 0.6}, "air_x",
         gaussian.exponential(gaussian.lags(COUNT, PERIOD), 1.2, 0.5),
     ),
     (
-        "dryden_gust", {"dryden_gust.std": 1.2, "dryden_gust.length": 0.6}, "wind_z",
+        "dryden_gust", {"dryden_gust.std": 1.2, "dryden_gust.length": 0.6}, "air_z",
         gaussian.dryden_across(gaussian.lags(COUNT, PERIOD), 1.2, 0.5),
     ),
     (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -16,10 +17,10 @@ from studio.work.worker import Outcome
 class CountedWorker:
     """A worker without a process."""
 
-    alive = 0
+    alive: ClassVar[set[CountedWorker]] = set()  # threads add and remove at once
 
     def __init__(self, memory: int | None = None) -> None:
-        type(self).alive += 1
+        self.alive.add(self)
 
     def run(self, *_: object) -> Outcome:
         return Outcome("cancelled")
@@ -28,7 +29,7 @@ class CountedWorker:
         """Nothing runs."""
 
     def close(self) -> None:
-        type(self).alive -= 1
+        self.alive.discard(self)
 
 
 def test_processes_of_cases_that_rest_end_and_one_waits_for_the_next(
@@ -48,6 +49,6 @@ def test_processes_of_cases_that_rest_end_and_one_waits_for_the_next(
         deadline = time.monotonic() + 10.0
         while server._spare is None and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert CountedWorker.alive <= MAX_WORKERS + 1
+        assert len(CountedWorker.alive) <= MAX_WORKERS + 1
     server.close()
-    assert CountedWorker.alive == 0
+    assert not CountedWorker.alive
