@@ -288,6 +288,7 @@ class Daemon:
             if now - self._landing_since > LANDING_PATIENCE:
                 self._announce(f"not landed within {LANDING_PATIENCE:g} s, LAND is requested")
                 self._requests.stop = True
+        self._service.stopping()  # before the last request is answered, which may take longer than a watchdog waits
         self._worker.join(REQUEST_PATIENCE)
         self._publish(link, control)
 
@@ -358,12 +359,13 @@ class Daemon:
         """End the control thread: no setpoint leaves after this, whatever ended the flight, but those it may hold."""
         self._requests.stop = True
         if control.join(STOP_PATIENCE):
+            self._service.stopping()
             self._worker.join(REQUEST_PATIENCE)
         else:
             StreamWatch(control, link).end_stream()
             link.close()
             self._announce(f"the control thread did not end within {STOP_PATIENCE:g} s: its link was closed")
-        self._service.stopping()
+            self._service.stopping()
 
     def _left_behind(self, status: VehicleStatus) -> str:
         """Suffix: state of a vehicle left armed, in brackets; empty for a disarmed one."""

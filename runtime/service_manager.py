@@ -7,6 +7,10 @@ import socket
 from collections.abc import Mapping
 from contextlib import suppress
 
+from dynamics.errors import RequestError
+
+MIN_WATCHDOG = 1.0  # s; the supervisor looks for finished ticks ten times in it, so that no single delay ends a flight
+
 
 class ServiceManager:
     """The manager that started this process, if one did; otherwise every message is dropped.
@@ -21,10 +25,20 @@ class ServiceManager:
         if self._socket is not None:
             self._socket.setblocking(False)
         self._ticks = -1
+        self._stopped = False
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> ServiceManager:
-        """The manager that NOTIFY_SOCKET names."""
+        """The manager that NOTIFY_SOCKET names.
+
+        Raises RequestError for a watchdog (WATCHDOG_USEC, us) that would end a healthy flight.
+        """
+        watchdog = environment.get("WATCHDOG_USEC", "")
+        if watchdog.isdigit() and 0 < 1e-6 * int(watchdog) < MIN_WATCHDOG:
+            raise RequestError(
+                f"the service manager's watchdog ends this process after {1e-6 * int(watchdog):g} s without a message; "
+                f"at least {MIN_WATCHDOG:g} s are needed. Set WatchdogSec=2 in the unit."
+            )
         return cls(environment.get("NOTIFY_SOCKET", ""))
 
     def ready(self) -> None:
@@ -42,8 +56,10 @@ class ServiceManager:
         self._send(f"STATUS={' '.join(text.split())}")
 
     def stopping(self) -> None:
-        """No setpoint leaves any more."""
-        self._send("STOPPING=1")
+        """The control loop has ended; from now on the manager's watchdog does not count. A second call does nothing."""
+        if not self._stopped:
+            self._stopped = True
+            self._send("STOPPING=1")
 
     def close(self) -> None:
         """Close the socket."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from dynamics.errors import RequestError
 from runtime.service_manager import ServiceManager
 
 
@@ -59,3 +60,13 @@ def test_a_manager_that_does_not_read_or_is_gone_costs_nothing(listening: tuple[
     listener.close()
     manager.stopping()
     manager.close()
+
+
+@pytest.mark.parametrize(("microseconds", "refused"), [("500000", True), ("2000000", False), ("", False)])
+def test_a_watchdog_that_would_end_a_healthy_flight_is_refused(microseconds: str, refused: bool) -> None:
+    environment = {"NOTIFY_SOCKET": "", "WATCHDOG_USEC": microseconds}
+    if refused:
+        with pytest.raises(RequestError, match=r"after 0\.5 s .* WatchdogSec=2"):
+            ServiceManager.from_environment(environment)
+    else:
+        ServiceManager.from_environment(environment).close()
