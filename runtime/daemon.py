@@ -149,7 +149,13 @@ class Daemon:
         name = self._request.name or time.strftime("%Y%m%d-%H%M%S")
         try:
             metadata = self._request.recording_metadata(self._controller_options())
-            return Recorder(folder, name, metadata=metadata, attachments=self._request.attachments)
+            return Recorder(
+                folder,
+                name,
+                metadata=metadata,
+                attachments=self._request.attachments,
+                max_bytes=self._request.record_limit,
+            )
         except OSError as error:
             raise RequestError(
                 f"cannot record {name} in {folder}: {error.strerror}. Give --record a folder that can be written."

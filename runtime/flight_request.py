@@ -30,6 +30,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     adaptation: how the model follows in flight.
     rate: control rate, Hz.
     record: folder for the recording, None for none.
+    record_limit: bytes of the recording, of which the oldest part goes; None for all of the flight.
     name: of the recording; the date and time if empty.
     system: the vehicle's system id, None for the first one heard.
     roaming: whether the vehicle may continue from another address after a silence.
@@ -47,6 +48,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: FlyerSettings = FlyerSettings()
     adaptation: AdaptationSettings = AdaptationSettings()
     record: Path | None = None
+    record_limit: int | None = None
     name: str = ""
     system: int | None = None
     roaming: bool = False

@@ -54,6 +54,7 @@ from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Origin, Plan
 from runtime.flight_request import FlightRequest
 from runtime.link.connection import parse_endpoint
+from runtime.record.parts import MIN_LIMIT
 from runtime.record.recording import FlightRecording
 
 SHIFTED_TIME = 0.1  # s of the shifted solution
@@ -81,6 +82,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     follow: effects whose parameters do, beside a disturbance; None for the usual ones, as far as this install can.
     network: whether a learned model's last layer does; None for shadow, where its bundle can.
     record: folder of the recording.
+    record_limit: bytes of the recording, of which the oldest part goes; None for all of the flight.
     arm: whether to request arming, or leave it to the pilot.
     resume: whether to take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, None for none.
@@ -105,6 +107,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     follow: tuple[str, ...] | None = None
     network: Mode | None = None
     record: Path | None = None
+    record_limit: int | None = None
     arm: bool = True
     resume: bool = False
     priority: int | None = None
@@ -167,6 +170,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
             health=HealthLimits.for_vehicle(vehicle),
         ),
         record=setup.record,
+        record_limit=_record_limit(setup),
         system=setup.system,
         roaming=setup.roaming,
         signing_key=None if setup.signing_key is None else read_signing_key(setup.signing_key),
@@ -177,6 +181,18 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments=attachments,
     )
     return PreparedFlight(request, vehicle, reference, bundle)
+
+
+def _record_limit(setup: FlightSetup) -> int | None:
+    """The limit of the recording, bytes. Raises RequestError for one without a recording, or too small."""
+    limit = setup.record_limit
+    if limit is not None and setup.record is None:
+        raise RequestError("--record-limit bounds a recording, and there is none: give --record DIR as well.")
+    if limit is not None and limit < MIN_LIMIT:
+        raise RequestError(
+            f"--record-limit is {limit / 1e6:g} MB; at least {MIN_LIMIT / 1e6:g} MB are needed, for half a minute."
+        )
+    return limit
 
 
 def _followed(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None) -> tuple[str, ...]:

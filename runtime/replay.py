@@ -76,6 +76,12 @@ def replay(
     bundle: of the learned model to fly, instead of the vehicle's own.
     Raises DataError when the recording lacks what that requires.
     """
+    if recording.first_part > 1:
+        raise DataError(
+            f"{recording.path} is the rest of a longer flight: its parts before part {recording.first_part} are not "
+            "there, as --record-limit removes them. A replay begins at the first tick. `alula inspect` and `alula "
+            "diagnose` read each part; for a replay fly with a larger limit, or without one."
+        )
     flyer = _flyer(recording, vehicle, reference, bundle)
     estimates = {record.arrival: _estimate(record) for record in recording.records(EstimateRecord)}
     observations: list[ObservationRecord] = recording.records(ObservationRecord)

@@ -94,6 +94,7 @@ def fly(
     network: Literal["off", "shadow", "on"] | None = None,
     follow: Sequence[str] | None = None,
     record: str | Path | None = None,
+    record_limit: int | None = None,
     arm: bool = True,
     resume: bool = False,
     priority: int | None = None,
@@ -123,6 +124,7 @@ def fly(
         CasADi and a compiler are installed.
     network: whether the last layer of a learned model follows, too; by default "shadow", where its bundle can.
     record: folder for the recording (MCAP and tlog).
+    record_limit: bytes of the recording, written in parts of which the oldest goes; by default all of the flight stays.
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
@@ -167,6 +169,7 @@ def fly(
         network=network,
         follow=None if follow is None else tuple(follow),
         record=None if record is None else Path(record),
+        record_limit=record_limit,
         arm=arm,
         resume=resume,
         priority=priority,

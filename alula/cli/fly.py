@@ -18,6 +18,7 @@ from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError, VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_answer
 from dynamics.references import is_identification
+from runtime.record.parts import parts_of
 
 if TYPE_CHECKING:
     from runtime.flight_request import FlightReport
@@ -79,6 +80,14 @@ def fly(
         ),
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
+    record_limit: Annotated[
+        float | None,
+        typer.Option(
+            help="With --record: MB for the recording, at least 5. It is written in parts of a fifth of that, "
+            "of which the oldest goes; by default all of the flight stays, 9 MB a minute at 100 Hz.",
+            metavar="MB",
+        ),
+    ] = None,
     arm: Annotated[
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
     ] = True,
@@ -132,6 +141,7 @@ def fly(
         follow=None if follow is None else [name for name in follow if name != "none"],
         network=network,
         record=record,
+        record_limit=None if record_limit is None else round(1e6 * record_limit),
         arm=arm,
         resume=resume,
         processor=processor,
@@ -168,7 +178,8 @@ def _following(
 ) -> list[object]:
     """Next command: diagnose the recording, or fly once more and record."""
     if record is not None and report.recording:
-        return ["diagnose", report.recording, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
+        parts = parts_of(Path(report.recording)).values() or [report.recording]
+        return ["diagnose", *parts, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
     again = options(
         [
             ("--vehicle", vehicle),

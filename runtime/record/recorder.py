@@ -2,7 +2,8 @@
 
 The control thread only appends to a bounded ring. The writer drains it ten times a second and closes the MCAP chunk
 at least twice a second, so that a killed process loses less than a second. A full disk ends the recording, not the
-flight: what was written remains, and `trouble` is the reason.
+flight: what was written remains, and `trouble` is the reason. With a limit the recording is written in parts, of which
+the oldest goes (`parts.py`).
 
 Messages are JSON with a JSON schema: the one self-describing encoding that Foxglove and PlotJuggler both read without
 plug-ins or message definitions. zstd removes its redundancy.
@@ -10,139 +11,24 @@ plug-ins or message definitions. zstd removes its redundancy.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
 
-from mcap.writer import CompressionType, Writer
-
-from runtime.record import foxglove, records
-from runtime.record.records import EstimateRecord, HorizonRecord, Record, ReferenceRecord
+from runtime.record.files import Opener, RecordedFiles, open_unbuffered
+from runtime.record.parts import MAX_PARTS, PART, part_bytes, part_path
+from runtime.record.records import LASTING, Record
 
 RING_CAPACITY = 20_000  # records and frames; 10 s of a 200 Hz flight with every stream on
 DRAIN_PERIOD = 0.1  # s
 FLUSH_PERIOD = 0.4  # s; a process killed by kill -9 loses well below one second
-POSE_PERIOD = 0.04  # s between poses for the 3D view
-_THINNED = (EstimateRecord, ReferenceRecord, HorizonRecord)
-
-Opener = Callable[[Path], BinaryIO]
-
-
-def open_unbuffered(path: Path) -> BinaryIO:
-    """A new unbuffered file. Raises FileExistsError for an existing one."""
-    return open(path, "xb", buffering=0)
-
-
-class SafeFile:
-    """A file that never raises: a failing disk ends it after the last complete write.
-
-    failure: why it ended, empty while it has not.
-    """
-
-    def __init__(self, path: Path, opener: Opener = open_unbuffered) -> None:
-        self.path = path
-        self.failure = ""
-        self._stream = opener(path)
-        self._pending = bytearray()
-        self._written = 0
-
-    def write(self, data: bytes) -> int:
-        """Add bytes, which `flush` writes to the disk."""
-        if not self.failure:
-            self._pending += data
-        return len(data)
-
-    def tell(self) -> int:
-        """Number of bytes written and pending, as files call it."""
-        return self._written + len(self._pending)
-
-    def flush(self) -> None:
-        """Write all pending bytes, or truncate the file to the last flush and set `failure`."""
-        pending, self._pending = self._pending, bytearray()
-        if self.failure or not pending:
-            return
-        try:
-            view = memoryview(pending)
-            while view:
-                view = view[self._stream.write(view) or 0 :]
-            self._written += len(pending)
-        except OSError as error:
-            self.failure = f"{self.path}: {error.strerror or error}"
-            self._truncate()
-
-    def _truncate(self) -> None:
-        with contextlib.suppress(OSError):  # the reader copes with a torn last record
-            self._stream.truncate(self._written)
-
-    def close(self) -> None:
-        """Flush and close, never raising."""
-        self.flush()
-        try:
-            self._stream.close()
-        except OSError as error:
-            self.failure = self.failure or f"{self.path}: {error.strerror or error}"
-
-
-class McapFile:
-    """The MCAP file: a channel for each kind of record, opened with its first one."""
-
-    def __init__(self, file: SafeFile, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> None:
-        self._writer = Writer(file, compression=CompressionType.ZSTD)
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._last_view: dict[str, int] = {}
-        self._writer.start(profile="", library="alula")
-        self._writer.add_metadata("alula", dict(metadata))
-        for name, text in attachments.items():
-            self._writer.add_attachment(0, 0, name, "text/plain", text.encode())
-        self.flush()
-
-    def add(self, record: Record, unix: int) -> None:
-        """Add a record, and its view for Foxglove if it has one. unix: nanoseconds."""
-        topic = records.TOPICS[type(record)]
-        kind = type(record)
-        if topic not in self._channels:
-            self._open(topic, f"alula.{kind.__name__}", json.dumps(records.schema_of(kind)))
-        self._writer.add_message(self._channels[topic], unix, records.encode(record), unix)
-        self._add_view(record, unix)
-
-    def _add_view(self, record: Record, unix: int) -> None:
-        topic = records.TOPICS[type(record)]
-        if isinstance(record, _THINNED) and unix - self._last_view.get(topic, 0) < POSE_PERIOD * 1e9:
-            return
-        view = foxglove.view(record)
-        if view is None:
-            return
-        self._last_view[topic] = unix
-        name = foxglove.TOPICS[view[0]]
-        if view[0] not in self._channels:
-            self._open(view[0], name, json.dumps(foxglove.SCHEMAS[name]))
-        self._writer.add_message(self._channels[view[0]], unix, foxglove.encode(view[1], unix), unix)
-
-    def _open(self, topic: str, schema: str, text: str) -> None:
-        if schema not in self._schemas:
-            self._schemas[schema] = self._writer.register_schema(schema, "jsonschema", text.encode())
-        self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
-
-    def flush(self) -> None:
-        """End the chunk and pass it to the operating system."""
-        self._writer.flush()
-
-    def finish(self) -> None:
-        """Write the index."""
-        self._writer.finish()
 
 
 class Recorder:
     """Takes records and frames from any thread without blocking, and writes them in a thread of its own.
 
-    path: of the MCAP file.
     dropped: records and frames for which the ring had no room.
     """
 
@@ -156,14 +42,15 @@ class Recorder:
         capacity: int = RING_CAPACITY,
         opener: Opener = open_unbuffered,
         simulated_epoch: float | None = None,
+        max_bytes: int | None = None,
     ) -> None:
         """Open `name`.mcap and `name`.tlog in a directory, which is created. Raises OSError if that fails.
 
+        max_bytes: of all files of this recording, which is then written in parts; None for one that grows.
         simulated_epoch: unix time at time 0 of a flight in simulated time, s; such a flight waits for its recording,
             which is written by its own thread and so always the same. None for the clock's time.
         """
         directory.mkdir(parents=True, exist_ok=True)
-        self.path = directory / f"{name}.mcap"
         self.dropped = 0
         self._failure = ""
         self._capacity = capacity
@@ -171,24 +58,41 @@ class Recorder:
         self._simulated = simulated_epoch is not None
         self._unix_offset = time.time() - time.monotonic() if simulated_epoch is None else simulated_epoch
         self._flushed = 0.0
-        self._mcap_file = SafeFile(self.path, opener)
-        self._tlog = SafeFile(self.path.with_suffix(".tlog"), opener)
-        self._mcap = McapFile(self._mcap_file, metadata, attachments or {})
+        self._directory, self._name, self._opener, self._max_bytes = directory, name, opener, max_bytes
+        self._metadata, self._attachments = metadata, attachments or {}
+        self._part_number, self._finished = 1, deque[RecordedFiles]()
+        self._lasting: dict[tuple[type[Record], str], tuple[int, Record]] = {}
+        self._files = self._open()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         if not self._simulated:
             self._thread.start()
 
+    def _open(self) -> RecordedFiles:
+        """The files to write to next. Raises OSError."""
+        if self._max_bytes is None:
+            return RecordedFiles(
+                self._directory / f"{self._name}.mcap", self._metadata, self._attachments, self._opener
+            )
+        path = part_path(self._directory, self._name, self._part_number)
+        metadata = {**self._metadata, PART: str(self._part_number)}
+        return RecordedFiles(path, metadata, self._attachments, self._opener)
+
+    @property
+    def path(self) -> Path:
+        """The MCAP file that is written; of a recording in parts the newest."""
+        return self._files.path
+
     @property
     def trouble(self) -> str:
         """Why writing ended, or how much was dropped; empty while neither happened."""
-        failure = self._failure or self._mcap_file.failure or self._tlog.failure
+        failure = self._failure or self._files.failure
         return failure or (f"{self.dropped} records dropped" if self.dropped else "")
 
     @property
     def still_writing(self) -> bool:
         """Whether writing has not ended."""
-        return not (self._failure or self._mcap_file.failure or self._tlog.failure)
+        return not (self._failure or self._files.failure)
 
     def put(self, record: Record, time_monotonic: float) -> None:
         """Pass a record to the writer; a full ring drops and counts it. Its arrays must not change later."""
@@ -219,12 +123,14 @@ class Recorder:
     def _run(self) -> None:
         try:
             self._write()
+        except OSError as error:  # of a file that is not open yet
+            self._failure = f"{error.filename or self.path}: {error.strerror or error}"
+            self._ring.clear()
         except Exception as error:  # recording must never end a flight, whatever is wrong with it
             self._failure = f"recorder stopped: {error!r}"
             self._ring.clear()
         finally:
-            self._mcap_file.close()
-            self._tlog.close()
+            self._files.close()
 
     def _write(self) -> None:
         flushed = time.monotonic()
@@ -234,18 +140,33 @@ class Recorder:
                 self._flush()
                 flushed = time.monotonic()
         self._drain()
-        self._mcap.finish()
+        self._files.finish()
 
     def _drain(self) -> None:
         # bounded by the length at the start, so that a flood cannot prevent flushing
         for _ in range(len(self._ring)):
             time_monotonic, item = self._ring.popleft()
             unix = round((time_monotonic + self._unix_offset) * 1e9)
-            if isinstance(item, bytes):
-                self._tlog.write(struct.pack(">Q", unix // 1000) + item)
-            elif not self._mcap_file.failure:
-                self._mcap.add(item, unix)
+            self._files.add(item, unix)
+            if isinstance(item, LASTING):
+                self._lasting[type(item), getattr(item, "name", "")] = (unix, item)
 
     def _flush(self) -> None:
-        self._mcap.flush()
-        self._tlog.flush()
+        self._files.flush()
+        is_full = self._max_bytes is not None and self._files.size >= part_bytes(self._max_bytes)
+        if is_full and not self._files.failure:
+            self._begin_part()
+
+    def _begin_part(self) -> None:
+        """Finish the part that is full, remove the oldest, and begin one with the records that still hold.
+
+        Raises OSError.
+        """
+        self._files.finish()
+        self._finished.append(self._files)
+        self._part_number += 1
+        while len(self._finished) >= MAX_PARTS:
+            self._finished.popleft().remove()
+        self._files = self._open()
+        for unix, record in self._lasting.values():
+            self._files.add(record, unix)

@@ -21,7 +21,8 @@ from dynamics.decoding import decode_json
 from dynamics.errors import DataError, RequestError
 from dynamics.field_errors import described
 from dynamics.mcap_chunks import records_of
-from runtime.record.records import TOPICS, Record
+from runtime.record.parts import parts_of
+from runtime.record.records import LASTING, TOPICS, Record
 
 MAGIC = b"\x89MCAP0\r\n"  # of an MCAP file
 Columns = Mapping[str, NDArray[Any]]
@@ -35,6 +36,7 @@ class FlightRecording:
     attachments: texts by name, such as the vehicle file.
     messages: topic to rows as they were written.
     complete: whether the recorder closed the file.
+    first_part: number of the part that it begins with, of a recording of bounded size; 1 where nothing is missing.
     """
 
     path: Path
@@ -42,6 +44,7 @@ class FlightRecording:
     attachments: Mapping[str, str]
     messages: Mapping[str, list[dict[str, Any]]]
     complete: bool
+    first_part: int = 1
 
     def table(self, topic: str) -> dict[str, NDArray[Any]]:
         """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records.
@@ -137,12 +140,36 @@ def read_attachments(path: Path) -> dict[str, str]:
 
 
 def read_recording(path: Path) -> FlightRecording:
-    """Read a recording by scanning it, which needs no index.
+    """Read a recording by scanning it, which needs no index; from one of several parts, all that are beside it.
 
     Raises RequestError for a path that cannot be read, DataError for a file that is no recording of `alula fly`.
     """
     with damage_named(path):
+        if parts := parts_of(path):
+            return _joined(path, parts)
         return _read(path)
+
+
+def _joined(path: Path, parts: Mapping[int, Path]) -> FlightRecording:
+    """The recording in parts, with the metadata and attachments of the one that was given; a part begins with rows of
+    the part before (`LASTING`), which count once.
+    """
+    recording, newest = _read(path), max(parts)
+    rows: dict[str, list[dict[str, Any]]] = {}
+    complete, repeated = True, {TOPICS[kind] for kind in LASTING}
+    for number, part in parts.items():
+        try:
+            read = recording if part == path else _read(part)
+        except DataError:
+            if number != newest:
+                raise
+            complete = False  # the writer was killed before it had written the settings
+            continue
+        complete = complete and read.complete
+        for topic, added in read.messages.items():
+            before = rows.setdefault(topic, [])
+            before += [row for row in added if topic not in repeated or row not in before]
+    return FlightRecording(path, recording.metadata, recording.attachments, rows, complete, min(parts))
 
 
 def _read(path: Path) -> FlightRecording:

@@ -255,6 +255,8 @@ Record = (
     | TextRecord
 )
 
+LASTING = (ParameterRecord, StateRecord, PhaseRecord)  # hold until the next one: each part of a recording has the last
+
 TOPICS: Mapping[type[Record], str] = {
     EstimateRecord: "/estimate",
     ReferenceRecord: "/reference",

@@ -16,7 +16,7 @@ from dynamics import trust
 from dynamics.effect_source import effect_file, read_effect_file, tables_toml
 from dynamics.vehicle_file import parse_vehicle
 from runtime.flight.mission import Plan
-from runtime.record.recorder import McapFile, SafeFile
+from runtime.record.files import McapFile, SafeFile
 from tests.support.trained import untrained_model
 from training.checkpoint import save
 from training.models import named_kind

@@ -11,7 +11,7 @@ import pytest
 
 from dynamics.errors import DataError, RequestError
 from flights.followed import read_followed, require_followed
-from runtime.record.recorder import McapFile, SafeFile
+from runtime.record.files import McapFile, SafeFile
 from runtime.record.records import FollowedRecord, PhaseRecord, Record
 
 CONTROLLER = '{"adaptation": {"mode": "shadow", "follow": ["mass"]}, "period": 0.01}'

@@ -1,5 +1,7 @@
 """A flight is put together from the user's options, and the recording keeps what was flown."""
 
+from pathlib import Path
+
 import pytest
 
 from dynamics.errors import RequestError
@@ -67,3 +69,12 @@ def test_wind_and_drag_follow_unless_the_user_names_others() -> None:
     assert prepare_flight(own).request.adaptation.mode == "on"
     off = prepare_flight(FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g"))
     assert off.request.adaptation.mode == "off"
+
+
+@pytest.mark.parametrize(
+    ("record", "limit", "reason"), [(None, 50_000_000, "give --record DIR"), (Path("DIR"), 1_000_000, "at least 5 MB")]
+)
+def test_a_limit_of_a_recording_that_bounds_nothing_is_refused(record: Path | None, limit: int, reason: str) -> None:
+    setup = FlightSetup(link=LINK, reference="hover", vehicle="arpl_250g", record=record, record_limit=limit)
+    with pytest.raises(RequestError, match=reason):
+        prepare_flight(setup)

@@ -16,6 +16,7 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
+from runtime.record.parts import parts_of
 from runtime.record.recorder import Recorder
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
@@ -32,7 +33,9 @@ def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> F
     return recorded(arpl_250g, Controller.build(arpl_250g), tmp_path_factory.mktemp("replay"))
 
 
-def recorded(arpl_250g: Vehicle, controller: Controller, folder: Path) -> FlightRecording:
+def recorded(
+    arpl_250g: Vehicle, controller: Controller, folder: Path, *, max_bytes: int | None = None
+) -> FlightRecording:
     flight = Flight(arpl_250g, controller, reference_of(arpl_250g))
     story = flight.run(11.0)
     metadata = {
@@ -40,7 +43,7 @@ def recorded(arpl_250g: Vehicle, controller: Controller, folder: Path) -> Flight
         "settings": msgspec.json.encode(FlyerSettings()).decode(),
         "controller": msgspec.json.encode(controller.options).decode(),
     }
-    recorder = Recorder(folder, "flight", metadata=metadata, capacity=100_000)
+    recorder = Recorder(folder, "flight", metadata=metadata, capacity=100_000, simulated_epoch=0.0, max_bytes=max_bytes)
     for (observation, estimate), decision in zip(story.observations, story.decisions, strict=True):
         assert estimate is not None
         parts = (estimate.position_world, estimate.velocity_world, estimate.attitude, estimate.rate_body)
@@ -97,3 +100,15 @@ def test_a_recording_without_a_flight_is_refused_with_the_reason(tmp_path: Path,
     Recorder(tmp_path, "empty", metadata={"seed": "1"}).close()
     with pytest.raises(DataError, match="lacks the settings plan, settings, controller"):
         replay(read_recording(tmp_path / "empty.mcap"), arpl_250g, reference_of(arpl_250g))
+
+
+def test_a_flight_in_parts_comes_out_exactly_while_all_are_there_and_is_refused_without_the_first(
+    arpl_250g: Vehicle, tmp_path: Path
+) -> None:
+    recording = recorded(arpl_250g, Controller.build(arpl_250g), tmp_path, max_bytes=1_000_000)
+    parts = parts_of(recording.path)
+    assert len(parts) > 1
+    assert replay(recording, arpl_250g, reference_of(arpl_250g)).exact
+    parts[1].unlink()
+    with pytest.raises(DataError, match=r"before part 2 are not there, as --record-limit removes them"):
+        replay(read_recording(recording.path), arpl_250g, reference_of(arpl_250g))
