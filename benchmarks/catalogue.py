@@ -134,6 +134,7 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
         "recorder": Measurement(
             "benchmarks.link.daemon:recorder", ("recorder_cost",), ("runtime/record",), ("--seconds", "1")
         ),
+        "soak": Measurement("benchmarks.link.soak:soak", ("soak",), ("runtime",), ("--minutes", "0.1")),
         "clock": Measurement("benchmarks.link.daemon:clock", ("clock_filter",), ("runtime/link",), ("--seeds", "1")),
     },
     "kernel": {

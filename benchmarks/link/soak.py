@@ -1,0 +1,251 @@
+"""A long flight of the daemon: memory, threads, descriptors, disk and lateness over time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import msgspec
+import numpy as np
+from mcap.reader import make_reader
+
+from benchmarks.link.daemon import ALULA
+from benchmarks.measurement import Page, options_of, paragraph_of
+from benchmarks.provenance import RESULTS
+from dynamics.arrays import Floats
+from dynamics.vehicle_file import find_vehicle, read_vehicle
+from runtime.record.parts import parts_of
+from simulation.mock_process import mock_process
+from sitl_mock.vehicle.battery import usual_battery
+
+VEHICLE = "arpl_250g"
+PICTURE = "soak.png"
+PERIOD = 1.0  # s between samples of the processes
+ROWS = 10  # of the table over time
+BIN = 10.0  # s of ticks for each point of the picture
+WARM_UP = 60.0  # s that the growth of memory leaves out
+PATIENCE = 180.0  # s for start, take-off and landing
+ENDURANCE = 10  # of the battery, in flights: an hour would empty the usual one
+
+
+class Tick(msgspec.Struct, frozen=True):
+    """The timing of a recorded tick, s. departure_seconds: from its trigger to its setpoint, None without one."""
+
+    time: float
+    departure_seconds: float | None
+    late_cause: str
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The daemon and the mock at a time. Memory and disk in bytes."""
+
+    time: float
+    memory: int
+    mock_memory: int
+    threads: int
+    descriptors: int
+    disk: int
+
+
+def status(process: int, field: str) -> int:
+    """A number of /proc/PID/status; kB as bytes. Raises OSError and StopIteration once the process has ended."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    words = next(line for line in lines if line.startswith(f"{field}:")).split()
+    return int(words[1]) * (1024 if words[-1] == "kB" else 1)
+
+
+def sample(flight: int, mock: int, folder: Path) -> Sample:
+    """Both processes now. Raises as `status`."""
+    disk = 0
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):  # the oldest part of a recording goes meanwhile
+            disk += path.stat().st_size
+    return Sample(
+        time.monotonic(),
+        status(flight, "VmRSS"),
+        status(mock, "VmRSS"),
+        status(flight, "Threads"),
+        len(list(Path(f"/proc/{flight}/fd").iterdir())),
+        disk,
+    )
+
+
+def fly(options: Any, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
+    """Samples of a flight beside the mock, from its first setpoint to its end, and its report."""
+    scenario, recordings = folder / "scenario.toml", folder / "recordings"
+    battery = usual_battery(
+        read_vehicle(find_vehicle(VEHICLE)), endurance=ENDURANCE * (60 * options.minutes + PATIENCE)
+    )
+    scenario.write_text(
+        "\n".join(["[battery]", *(f"{key} = {value}" for key, value in msgspec.structs.asdict(battery).items())])
+    )
+    recordings.mkdir()
+    command = [*ALULA, "fly", "--vehicle", VEHICLE, "--reference", options.reference, "--json"]
+    command += ["--duration", str(60 * options.minutes), "--rate", "100", "--record", str(recordings)]
+    command += ["--no-realtime"] if options.plain else []
+    command += ["--record-limit", str(options.record_limit)] if options.record_limit else []
+    taken: list[Sample] = []
+    with (
+        mock_process("--scenario", str(scenario), vehicle=VEHICLE) as mock,
+        (folder / "log").open("w+") as log,
+        (folder / "report").open("w+") as report,
+        subprocess.Popen([*command, "--link", mock.url], stdout=report, stderr=log) as flight,
+    ):
+        deadline = time.monotonic() + 60 * options.minutes + PATIENCE
+        while flight.poll() is None and time.monotonic() < deadline:
+            if "-> STREAMING" in (folder / "log").read_text():
+                with suppress(OSError, StopIteration):  # it has ended meanwhile
+                    taken.append(sample(flight.pid, mock.process.pid, recordings))
+            time.sleep(PERIOD)
+        flight.terminate()
+    text = (folder / "report").read_text()
+    if not text:
+        raise SystemExit(f"the flight failed: {(folder / 'log').read_text()}")
+    return taken, json.loads(text)
+
+
+def ticks_of(recording: Path) -> Iterator[Tick]:
+    """The ticks that sent a setpoint, of all parts that are there."""
+    decoder = msgspec.json.Decoder(Tick)
+    for path in parts_of(recording).values() or [recording]:
+        with path.open("rb") as stream:
+            for _, _, message in make_reader(stream).iter_messages(topics=["/tick"]):
+                tick = decoder.decode(message.data)
+                if tick.departure_seconds is not None:
+                    yield tick
+
+
+def growth(samples: Sequence[Sample]) -> float:
+    """Slope of the daemon's memory after the warm-up, bytes/s; NaN of too short a flight."""
+    late = [each for each in samples if each.time - samples[0].time > WARM_UP]
+    if len(late) < 3:
+        return float("nan")
+    slope = np.polyfit([each.time for each in late], [each.memory for each in late], 1)[0]
+    return float(slope)
+
+
+def binned(times: Floats, values: Floats, start: float, width: float) -> list[tuple[float, Floats]]:
+    """(middle of a bin, s since the start; the values in it) of each bin that has any. times, values: (n,)."""
+    number = ((times - start) // width).astype(int)
+    return [((each + 0.5) * width, values[number == each]) for each in np.unique(number).tolist()]
+
+
+def table(samples: Sequence[Sample], times: Floats, lateness: Floats, minutes: float) -> list[str]:
+    """Rows over time. times, lateness: (n,) of the ticks, s."""
+    lines = [
+        "| minutes | memory, MB | mock's memory, MB | threads | descriptors | recording, MB | "
+        "arrival to departure, ms: median / p99 / max |",
+        "| --- " * 7 + "|",
+    ]
+    start, width = samples[0].time, 60 * max(minutes / ROWS, 0.1)
+    for middle, values in binned(times, lateness, start, width):
+        since = [each for each in samples if abs(each.time - start - middle) <= width / 2]
+        if not since:
+            continue
+        latest = since[-1]
+        late = " / ".join(f"{1e3 * value:.2f}" for value in np.percentile(values, [50, 99, 100]))
+        lines.append(
+            f"| {(middle + width / 2) / 60:.1f} | {latest.memory / 1e6:.1f} | {latest.mock_memory / 1e6:.1f} | "
+            f"{latest.threads} | {latest.descriptors} | {latest.disk / 1e6:.1f} | {late} |"
+        )
+    return lines
+
+
+def plot(samples: Sequence[Sample], times: Floats, lateness: Floats) -> None:
+    """Memory, threads and descriptors, recording and lateness over time, into the folder of results."""
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    start = samples[0].time
+    since = [(each.time - start) / 60 for each in samples]
+    figure, axes = plt.subplots(2, 2, figsize=(10, 5.5), sharex=True)
+    (memory, counts), (disk, late) = axes
+    memory.plot(since, [each.memory / 1e6 for each in samples], label="daemon")
+    memory.plot(since, [each.mock_memory / 1e6 for each in samples], color="0.6", label="mock")
+    memory.set_ylabel("resident memory, MB")
+    memory.set_ylim(bottom=0)
+    counts.plot(since, [each.descriptors for each in samples], label="descriptors")
+    counts.plot(since, [each.threads for each in samples], label="threads")
+    counts.set_ylabel("number")
+    counts.set_ylim(bottom=0)
+    disk.plot(since, [each.disk / 1e6 for each in samples], label="MCAP and tlog")
+    disk.set_ylabel("recording, MB")
+    bins = binned(times, lateness, start, BIN)
+    for percent, name in ((50, "median"), (99, "99th percentile"), (100, "greatest")):
+        late.semilogy(
+            [middle / 60 for middle, _ in bins],
+            [1e3 * np.percentile(values, percent) for _, values in bins],
+            label=name,
+        )
+    late.set_ylabel("arrival to departure, ms")
+    for axis in axes.flat:
+        axis.legend(frameon=False)
+    for axis in axes[1]:
+        axis.set_xlabel("minutes of flight")
+    figure.tight_layout()
+    figure.savefig(RESULTS / PICTURE, dpi=120)
+    plt.close(figure)
+
+
+def soak(words: Sequence[str]) -> Page:
+    """A long flight at 100 Hz against the mock: does anything of the daemon grow, and does it become late?
+
+    Memory, threads, descriptors and the recording's files are read from /proc and the folder once a second; lateness is
+    that of the recorded ticks, from what triggers one, an estimate's arrival, to the departure of its setpoint.
+
+        python -m benchmarks link soak [--minutes 10] [--record-limit MB] [--reference lemniscate] [--plain]
+
+    Mock and daemon are processes of their own on this machine. An hour is --minutes 60.
+    """
+    parser = options_of(soak.__doc__)
+    parser.add_argument("--minutes", type=float, default=10.0, help="of the reference")
+    parser.add_argument("--record-limit", type=float, help="MB, as of alula fly")
+    parser.add_argument("--reference", default="lemniscate", help="as of alula fly")
+    parser.add_argument("--plain", action="store_true", help="ordinary scheduling instead of SCHED_FIFO")
+    options = parser.parse_args(words)
+    with tempfile.TemporaryDirectory() as folder:
+        samples, report = fly(options, Path(folder))
+        ticks = list(ticks_of(Path(report["recording"])))
+    times = np.array([tick.time for tick in ticks])
+    lateness = np.array([tick.departure_seconds for tick in ticks])
+    if not (options.quick or options.no_page):
+        plot(samples, times, lateness)
+    late = {cause: sum(tick.late_cause == cause for tick in ticks) for cause in ("ours", "scheduler")}
+    threads, descriptors = ([getattr(each, name) for each in samples] for name in ("threads", "descriptors"))
+    minutes = (samples[-1].time - samples[0].time) / 60
+    errors = report["tracking"]["position_rmse"]
+    lines = [
+        paragraph_of(soak.__doc__),
+        "",
+        f"One flight of `{options.reference}`, {report['scheduling']}, ended: {report['outcome']}. Both processes at "
+        f"niceness {os.nice(0)}; load average over the last 15 min {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores.",
+        "",
+        "| what | figure |",
+        "| --- | --- |",
+        f"| flight, from the first setpoint | {minutes:.1f} min, {report['timing']['ticks']} setpoints |",
+        f"| memory of the daemon, after a minute's warm-up | grows by {60 * growth(samples) / 1e3:.0f} kB a minute |",
+        f"| threads | {min(threads)} to {max(threads)} |",
+        f"| descriptors | {min(descriptors)} to {max(descriptors)} |",
+        f"| recording, MCAP and tlog | {max(each.disk for each in samples) / 1e6:.1f} MB at most |",
+        f"| late setpoints: ours, scheduler | {late['ours']}, {late['scheduler']} |",
+        f"| position error, RMS | {1e3 * errors:.0f} mm |",
+        f"| events | {', '.join(f'{name} {count}x' for name, count in report['events'].items()) or 'none'} |",
+        "",
+        *table(samples, times, lateness, minutes),
+        "",
+        "Times of arrival and departure are kept for percentiles in arrays of a fixed size, whose pages the operating "
+        "system gives as they are filled: 24 bytes a setpoint, 140 kB a minute, up to 9.6 MB.",
+        "",
+        f"![over time]({PICTURE})",
+    ]
+    return Page("soak", "A soak of the daemon", "\n".join(lines))
