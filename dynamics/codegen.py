@@ -56,7 +56,7 @@ def is_compiled_here(library: Path) -> bool:
     return library.parent.resolve() == cache_folder().resolve() and _is_own(library)
 
 
-def _require_own_folder(folder: Path) -> None:
+def require_own_folder(folder: Path) -> None:
     """Close the cache folder to others. Raises RequestError where it is theirs, who could put code there."""
     status = folder.stat()
     if status.st_uid not in (os.geteuid(), 0):
@@ -116,7 +116,7 @@ def build_library(
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        _require_own_folder(folder)
+        require_own_folder(folder)
         if _is_own(library):
             return library
         with _locked(folder / f"{library.name}.lock"):

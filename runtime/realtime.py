@@ -25,11 +25,11 @@ MAX_RUN_WITHOUT_GUARD = 3.0  # s of processor time without a pause after which t
 MAX_LOCKED = 0.5  # of the available memory
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _LIMITS = "/etc/security/limits.d/alula.conf"
-_FIFO_REMEDY = (
+FIFO_REMEDY = (
     f"allow it by a line `USER - rtprio 60` in {_LIMITS} and log in again, or give CAP_SYS_NICE; "
     "--no-realtime does without"
 )
-_MEMORY_REMEDY = f"allow it by a line `USER - memlock unlimited` in {_LIMITS}, or give CAP_IPC_LOCK"
+MEMORY_REMEDY = f"allow it by a line `USER - memlock unlimited` in {_LIMITS}, or give CAP_IPC_LOCK"
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -46,13 +46,18 @@ def prepare_interpreter() -> None:
     gc.freeze()
 
 
+def locks_later_memory() -> bool:
+    """Whether no limit keeps memory that is asked for later from being locked as well."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    return os.geteuid() == 0 or limit == resource.RLIM_INFINITY
+
+
 def _lock_memory() -> None:
     size, available = _memory()
     if size > MAX_LOCKED * available:
         raise ValueError(f"it would take {size / 2**20:.0f} of {available / 2**20:.0f} MiB that are left")
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     # under a limit, memory that is asked for later would fail instead of being swapped
-    future = _MCL_FUTURE if os.geteuid() == 0 or limit == resource.RLIM_INFINITY else 0
+    future = _MCL_FUTURE if locks_later_memory() else 0
     library = ctypes.CDLL(None, use_errno=True)
     # pages are locked as they are used: to fill all that is mapped could exceed a container's memory
     if library.mlockall(_MCL_CURRENT | future | _MCL_ONFAULT) != 0:
@@ -87,7 +92,7 @@ def _attempt(what: str, remedy: str, action: Callable[[], None]) -> str:
 
 def lock_memory() -> str:
     """Lock the whole process into memory. Returns why that was refused, empty when it was not."""
-    return _attempt("mlockall", _MEMORY_REMEDY, _lock_memory)
+    return _attempt("mlockall", MEMORY_REMEDY, _lock_memory)
 
 
 def raise_threads(priority: int, *, exempt: str) -> str:
@@ -105,7 +110,7 @@ def raise_threads(priority: int, *, exempt: str) -> str:
             if thread.native_id is not None and thread.name != exempt:
                 os.sched_setscheduler(thread.native_id, os.SCHED_FIFO, os.sched_param(priority))
 
-    return _attempt(f"SCHED_FIFO {priority}", _FIFO_REMEDY, raise_all)
+    return _attempt(f"SCHED_FIFO {priority}", FIFO_REMEDY, raise_all)
 
 
 def lower_threads() -> None:
@@ -132,7 +137,7 @@ class Scheduling:
         self._over = threading.Event()
         if priority is None:
             return
-        if refusal := _attempt(f"SCHED_FIFO {priority}", _FIFO_REMEDY, lambda: _set_fifo(priority)):
+        if refusal := _attempt(f"SCHED_FIFO {priority}", FIFO_REMEDY, lambda: _set_fifo(priority)):
             self.refusals.append(refusal)
             return
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -188,7 +193,7 @@ def schedule_thread(priority: int, processor: int | None = None) -> tuple[str, .
     refusals = [
         _attempt(
             f"SCHED_FIFO {priority}",
-            _FIFO_REMEDY,
+            FIFO_REMEDY,
             lambda: _set_fifo(priority),
         )
     ]

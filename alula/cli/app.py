@@ -43,6 +43,7 @@ COMMANDS = (
     "mock",
     "fly",
     "link",
+    "doctor",
     "replay",
     "campaign",
     "inspect",
