@@ -217,7 +217,7 @@ def soak(words: Sequence[str]) -> Page:
 
         python -m benchmarks link soak [--minutes 10] [--record-limit MB] [--reference lemniscate] [--plain]
 
-    Mock and daemon are processes of their own on this machine, and the mock under SCHED_FIFO as well, since a vehicle has
+    Mock and daemon are processes of their own on this machine, the mock under SCHED_FIFO as well, since a vehicle has
     its own processors. An hour is --minutes 60.
     """
     parser = options_of(soak.__doc__)
