@@ -21,6 +21,7 @@ from runtime.link.connection import Endpoint
 from runtime.link.dialect import Message, mavlink
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.framing import Frame, FrameParser
+from runtime.link.line_noise import LineNoise
 from runtime.link.peer import Peer, Reaction
 from runtime.link.setpoint_message import rate_setpoint_message
 from runtime.link.signing import ACCEPTED, MESSAGES_LINK, REFUSALS, SETPOINTS_LINK, Signing
@@ -129,6 +130,7 @@ class Link:
         self._next_heartbeat = self._next_timesync = self._next_other = float("-inf")
         self._fixes_at: float | None = None
         self._silent = self._signing_failed = False
+        self._noise = LineNoise(is_serial=endpoint.kind == "serial")
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
         self._thread.start()
@@ -466,6 +468,8 @@ class Link:
             self._signing_failed = True
             text = f"After a crash, timestamps of signing may repeat: {self.signing.clock.failure}"
             self._publish_event(now, "signing_unsaved", "warning", text)
+        if self.peer.address is not None and (text := self._noise.check(now, self.parser.skipped_bytes)):
+            self._publish_event(now, "bytes_lost", "warning", text)
         silent = self.peer.address is not None and not self.is_connected(now)
         if silent != self._silent:
             self._silent = silent
@@ -492,5 +496,6 @@ class Link:
             except AlulaError:
                 continue
             self.parser = FrameParser()
+            self._noise.restart()
             self._publish_event(time.monotonic(), "link_restored", "warning", f"{self.endpoint} is open again.")
             return

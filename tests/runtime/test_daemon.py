@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -39,6 +38,7 @@ from runtime.record.recording import read_recording
 from runtime.replay import replay
 from runtime.setpoint_stream import SetpointStream
 from simulation.mock_process import free_port, mock_process
+from tests.support.serial_cable import SerialCable
 from vehicles import FOLDER
 
 pytestmark = pytest.mark.realtime
@@ -295,49 +295,14 @@ def test_killed_in_the_air_and_restarted_it_holds_back(vehicle: Vehicle) -> None
     assert report.start_up < 0
 
 
-@contextlib.contextmanager
-def serial_cable() -> Iterator[tuple[str, str, Callable[[], None]]]:
-    """Two serial devices joined by a cable, and what unplugs the second one."""
-    ends = [os.openpty() for _ in range(2)]
-    for _, slave in ends:
-        tty.setraw(slave)
-    masters = [master for master, _ in ends]
-    stop = threading.Event()
-
-    def carry(source: int, sink: int) -> None:
-        while not stop.is_set():
-            try:
-                os.write(sink, os.read(source, 4096))
-            except OSError:
-                return
-
-    threads = [threading.Thread(target=carry, args=pair, daemon=True) for pair in (masters, masters[::-1])]
-    for thread in threads:
-        thread.start()
-
-    def unplug() -> None:
-        stop.set()
-        for descriptor in ends[1]:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-
-    try:
-        yield os.ttyname(ends[0][1]), os.ttyname(ends[1][1]), unplug
-    finally:
-        unplug()
-        for descriptor in ends[0]:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-
-
-def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: Vehicle) -> None:
-    with serial_cable() as (far, near, unplug), mock_process("--link", f"serial:{far}:921600") as mock:
+def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: Vehicle, tmp_path: Path) -> None:
+    with SerialCable(tmp_path) as cable, mock_process("--link", f"serial:{cable.far}:921600") as mock:
         announcements = Announcements()
-        announcements.waiting["in_air"] = unplug
-        report = fly(vehicle, announcements, request_for(f"serial:{near}:921600"))
+        announcements.waiting["in_air"] = cable.unplug
+        report = fly(vehicle, announcements, request_for(f"serial:{cable.near}:921600"))
         assert mock.process.poll() is None
     assert not report.landed
-    assert announcements.contain(near), announcements
+    assert announcements.contain(cable.near), announcements
     assert "nothing arrives" in report.outcome or "failsafe" in report.outcome
 
 
