@@ -22,7 +22,6 @@ from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest, Transition
 from runtime.flight.events import POLICIES, Event, EventChange
 from runtime.flight.flyer import Flyer
-from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
 from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
@@ -117,7 +116,7 @@ class ControlThread:
         self.ticks = self._defects = 0
         self._failed = False
         self._preparation = 0.0
-        self._phase = Phase.GROUND
+        self._recorded_phase = flyer.mission.phase
         self._stop_since = float("inf")
         self.stream = SetpointStream(link, self._put, clock)
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
@@ -273,7 +272,7 @@ class ControlThread:
         flyer, now = self._flyer, observation.time
         reference = flyer.reference_now(estimate.time) if estimate is not None else None
         if reference is not None and estimate is not None:
-            self.tracking.add(flyer.mission.phase, estimate, reference)
+            self.tracking.add(flyer.mission.policy, estimate, reference)
         if self._recorder is None:
             return
         self._put(observation, now)
@@ -299,8 +298,8 @@ class ControlThread:
             severity = int(POLICIES[change.event].severity)
             self._put(EventRecord(change.time, change.event.value, change.active, severity, change.text), now)
         phase = self._flyer.mission.phase
-        if phase is not self._phase:
-            self._phase = phase
+        if phase is not self._recorded_phase:
+            self._recorded_phase = phase
             self._put(PhaseRecord(now, phase.value, self._flyer.mission.describe()), now)
 
     def _tick_record(

@@ -29,7 +29,8 @@ from runtime.flight.engagement import EngagementSettings
 from runtime.flight.events import Fallback
 from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import FollowedRecord, ObservationRecord

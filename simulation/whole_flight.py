@@ -28,7 +28,8 @@ from runtime.flight.engagement import AutopilotRequest
 from runtime.flight.events import Event
 from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits, estimator_health
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from runtime.flight.thrust import rotor_speed
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.odometry import Odometry

@@ -26,7 +26,8 @@ from runtime.flight.composition import Controllers, build_flyer
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.health import HealthLimits
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from runtime.flight_setup import FOLLOWED
 from runtime.link.estimate import StateEstimate
 from simulation.lockstep import quiet_observation

@@ -25,7 +25,8 @@ from dynamics.references.catalogue import MANOEUVRES
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import find_vehicle
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from simulation.whole_flight import Lockstep, fly_whole
 from sitl_mock.mock import MockOptions
 

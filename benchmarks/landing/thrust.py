@@ -29,7 +29,8 @@ from dynamics.references import named_reference
 from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle_file import find_vehicle
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from simulation.whole_flight import CARRIED, Lockstep, WholeFlight, fly_whole
 from sitl_mock.mock import MockOptions
 from sitl_mock.scenario import Scenario

@@ -24,7 +24,8 @@ from dynamics.references import named_reference
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle_file import find_vehicle
 from runtime.flight.consistent_velocity import ConsistentVelocity
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from runtime.link.estimate import StateEstimate
 from simulation.whole_flight import WholeFlight, fly_whole
 from sitl_mock.mock import MockOptions

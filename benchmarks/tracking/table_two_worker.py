@@ -24,7 +24,7 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.daemon import Daemon
 from runtime.flight.composition import build_controllers
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase
+from runtime.flight.phases import Phase
 from runtime.flight_setup import FlightSetup, exported_bundle, prepare_flight
 from runtime.record.recording import FlightRecording, read_recording
 from simulation.lockstep import fly_reference

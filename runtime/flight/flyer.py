@@ -26,8 +26,9 @@ from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
 from runtime.flight.ground_contact import GroundContact
 from runtime.flight.ground_probe import Ground
 from runtime.flight.health import FlightHealth, FrozenEstimate
-from runtime.flight.mission import LANDING, Mission, Phase
+from runtime.flight.mission import Mission
 from runtime.flight.parting import Parting
+from runtime.flight.phases import Handler
 from runtime.flight.settling import SHUTDOWN_TIME, Settling
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.start_pose import StartPose
@@ -42,14 +43,11 @@ STOPPED = "stopped streaming at once"
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
-ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.CONTACT, Phase.SHUTDOWN)  # where disarming is expected
-SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever happens
 MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
 LEVELLING_SHARE = 0.6  # of the weight, from which on a take-off levels: it would leave a slope sideways
 START_GAIN, START_LIMIT = 3.0, 0.5  # 1/s and rad/s, of that
 SINK_GAIN, SINK_LIMIT = 3.0, 2.0  # 1/s and rad/s, of levelling where thrust is lost
 MIN_THRUST = 1.08  # of the weight, at most available, with which a flight goes on
-TOUCHDOWN_RATE = 0.4  # rad/s of tilting: what a soft contact lets it tilt until it is noticed
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a false contact
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
@@ -125,7 +123,7 @@ class Flyer:
     @property
     def landed(self) -> bool:
         """Whether the flight ended on the ground, by its own landing."""
-        return self.over and self.mission.phase is Phase.SHUTDOWN and self._ending.landed
+        return self.over and self.mission.policy.handler is Handler.SHUT_DOWN and self._ending.landed
 
     @property
     def model_ratio(self) -> float:
@@ -278,7 +276,7 @@ class Flyer:
             return
         for adaptation in self._adaptations:
             adaptation.read_force(observation.time, observation.specific_force_z)
-            if observation.rotor_speed.size and self.mission.phase not in LANDING:  # the ground may carry a part there
+            if observation.rotor_speed.size and not self.mission.policy.lands:
                 speed, measured = observation.rotor_speed, observation.rotors_measured
                 adaptation.read_rotors(observation.rotor_time, speed, measured=measured)
 
@@ -310,7 +308,7 @@ class Flyer:
             force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
         if self.adaptation is not None:
             force -= self.adaptation.specific_drag(now.state)
-        landing, velocity = self.mission.phase in LANDING, now.velocity_world
+        landing, velocity = self.mission.policy.lands, now.velocity_world
         near = landing and self._ground.may_be_near(self.mission, now.state, reported_landed=False)
         climb = float(quaternion.rotate_inverse(now.attitude, velocity)[2])
         speed, sideways = float(np.linalg.norm(velocity)), (float(self._force[0]), float(self._force[1]))
@@ -318,9 +316,7 @@ class Flyer:
         pushed = self._vehicle.body.mass * float(np.linalg.norm(self.effectiveness.across))
         if (left := (self._available_thrust + pushed) / self._vehicle.weight) < MIN_THRUST:
             self._pending[Event.THRUST_LOST] = f"at most {left:.2f} of the weight"
-        if landing:
-            return
-        if self.adaptation is not None and self.mission.phase not in (Phase.GROUND, Phase.RAMP):
+        if self.adaptation is not None and not landing:
             self.adaptation.read_voltage(now.time, self._voltage, self.effectiveness.value)
 
     @property
@@ -331,7 +327,7 @@ class Flyer:
     def _measure_force(self, time: float, reference: Floats | None) -> None:
         """Update the external force, and the events that it shows. reference: state (13,) at this time, or None."""
         estimate = self._estimate
-        if not self.engagement.flying or estimate is None or self.mission.phase in (Phase.GROUND, Phase.RAMP):
+        if not self.engagement.flying or estimate is None or not self.mission.policy.leaves_ground:
             self._ground.clear()
             return
         thrust = self.effectiveness.thrust(time) / self._vehicle.body.mass
@@ -351,7 +347,7 @@ class Flyer:
             present |= self._rotor_findings(adaptation)
         if not self.engagement.flying and not self.engagement.initially_armed:
             present |= self._start_pose.findings()
-        if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
+        if self.engagement.flying and not self.mission.policy.may_disarm:
             if not observation.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
             elif not observation.offboard:
@@ -382,8 +378,8 @@ class Flyer:
     def _choose_fallback(self, time: float) -> Fallback:
         if not self.engagement.flying:
             return self.events.fallback
-        if self.mission.phase in SETTLING:
-            return Fallback.NONE  # without thrust on the ground nothing is safer than to disarm
+        if not self.mission.policy.falls_back:
+            return Fallback.NONE
         active = self.events.active
         if Event.ESTIMATE_STALE in active and self._estimate and self._health.is_current(self._estimate, time):
             active = {event: detail for event, detail in active.items() if event is not Event.ESTIMATE_STALE}
@@ -404,8 +400,8 @@ class Flyer:
 
     def _engage(self, observation: ObservationRecord, decision: Decision) -> None:
         was_flying = self.engagement.flying
-        if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
-            self.mission.shut_down(observation.time)  # the autopilot noticed the landing first and disarmed by itself
+        if was_flying and self.mission.policy.may_disarm and not observation.armed:
+            self.mission.disarmed(observation.time)
             decision.transitions += self.engagement.release(self._ending.describe("and disarmed"), observation.time)
         facts = Facts(
             connected=observation.connected,
@@ -450,7 +446,7 @@ class Flyer:
     def _land(self, reason: str, time: float) -> None:
         """Cut the flight short after an event, or a take-off before it leaves the ground."""
         assert self._state is not None
-        if self.mission.phase is Phase.RAMP:
+        if self.mission.policy.handler is Handler.TAKE_OFF:
             self._ending.not_flown = reason
         self.mission.land(reason, self._state, time)
         if self.events.sinks:
@@ -459,20 +455,22 @@ class Flyer:
     # --- setpoint
 
     def _command(self, observation: ObservationRecord, decision: Decision) -> None:
-        if not self.engagement.flying:
+        if self.engagement.flying:
+            match self.mission.policy.handler:
+                case Handler.WAIT:
+                    pass
+                case Handler.TAKE_OFF:
+                    self._take_off(observation, decision)
+                case Handler.FLY if decision.fallback is Fallback.LEVEL_HOLD:
+                    self._hold_level(decision)
+                case Handler.FLY:
+                    self._fly(observation, decision)
+                case Handler.SETTLE:
+                    self._settle(observation, decision)
+                case Handler.SHUT_DOWN:
+                    self._shut_down(observation, decision)
+        else:
             self._stand_by(decision)
-        elif decision.fallback is Fallback.LEVEL_HOLD and self.mission.airborne:
-            decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
-            if self.mission.phase in LANDING:
-                decision.collective_thrust *= SINK_SHARE
-        elif self.mission.phase is Phase.RAMP:
-            self._take_off(observation, decision)
-        elif self.mission.phase is Phase.CONTACT:
-            self._settle(observation, decision)
-        elif self.mission.phase is Phase.SHUTDOWN:
-            self._shut_down(observation, decision)
-        if self.engagement.flying and self.mission.airborne and decision.rate_body is None:
-            self._fly(observation, decision)
         if self.engagement.flying:
             self._look_for_ground(observation, decision.collective_thrust)
         if self.engagement.streaming and decision.rate_body is not None:
@@ -486,6 +484,11 @@ class Flyer:
             decision.rate_body, decision.collective_thrust = self._hold.command(0.0)
         else:
             decision.rate_body, decision.collective_thrust = ZERO_RATE, 0.0
+
+    def _hold_level(self, decision: Decision) -> None:
+        decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
+        if self.mission.policy.lands:
+            decision.collective_thrust *= SINK_SHARE
 
     def _take_off(self, observation: ObservationRecord, decision: Decision) -> None:
         assert self._state is not None
@@ -536,7 +539,7 @@ class Flyer:
         """cause: event after which the ground is probed in flight; empty in a landing."""
         assert self._state is not None
         self._settling.begin(self._state, self._last_setpoint[1], time, cause=cause)
-        self.mission.settle(time)
+        self.mission.settle(self._state, time)
 
     def _settle(self, observation: ObservationRecord, decision: Decision) -> None:
         """Level, with thrust going away, until the ground is known to carry the vehicle or not to be there."""
@@ -552,7 +555,7 @@ class Flyer:
             case Ground.CARRIES:
                 if cause := self._settling.cause or ground.blow:
                     self._ending.crashed = self._pending[Event.CRASHED] = cause
-                self.mission.shut_down(time)
+                self.mission.shut_down(state, time)
             case Ground.ABSENT:
                 self._pending[Event.CONTACT_LOST] = ""
                 self._hand_over = HandOver(time, decision.collective_thrust, CATCH_TIME)
@@ -575,8 +578,8 @@ class Flyer:
         if self.events.sinks and self._state is not None:
             # thrust stays the controller's, which takes all that there is while the vehicle sinks too fast
             decision.rate_body = level_rate(self._state[ATTITUDE], gain=SINK_GAIN, limit=SINK_LIMIT)
-        elif self.mission.phase is Phase.TOUCHDOWN:
-            decision.rate_body[:2] = np.clip(decision.rate_body[:2], -TOUCHDOWN_RATE, TOUCHDOWN_RATE)
+        elif (limit := self.mission.policy.tilt_rate) < inf:
+            decision.rate_body[:2] = np.clip(decision.rate_body[:2], -limit, limit)
         if self._hand_over is not None:
             decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
 
@@ -602,8 +605,8 @@ class Flyer:
         """Take thrust away once a landing has reached the ground."""
         if self._state is None:
             return
-        phase, time, reported = self.mission.phase, observation.time, observation.landed
-        if self._ground.has_landed(phase, self._state, collective_thrust, time, reported_landed=reported):
+        policy, time, reported = self.mission.policy, observation.time, observation.landed
+        if self._ground.has_landed(policy, self._state, collective_thrust, time, reported_landed=reported):
             self._take_thrust_away(time)
         else:
             self._pending |= self._ground.missing_ground(time)
@@ -629,9 +632,13 @@ class Flyer:
             return 0.0
         if not flown:
             return 0.0 if observation.landed or not self.engagement.initially_armed else self._vehicle.weight
-        if self.mission.airborne or (self.mission.phase is Phase.CONTACT and self._settling.cause):
-            return self._vehicle.weight
-        return self._last_setpoint[1] if self.mission.phase is Phase.CONTACT else 0.0
+        match self.mission.policy.handler:
+            case Handler.FLY:
+                return self._vehicle.weight
+            case Handler.SETTLE:
+                return self._vehicle.weight if self._settling.cause else self._last_setpoint[1]
+            case _:
+                return 0.0
 
     def _send_last(self, observation: ObservationRecord, decision: Decision) -> None:
         if not observation.armed:

@@ -12,12 +12,12 @@ from dynamics.vehicle import Vehicle
 from runtime.flight.contact import MEAN_TIME, ForceMeter, LandingContact
 from runtime.flight.crash import CrashDetector
 from runtime.flight.events import Event
-from runtime.flight.mission import LANDING, Mission, Phase
+from runtime.flight.mission import Mission
+from runtime.flight.phases import Path, PhasePolicy
 from runtime.flight.takeoff import LandingDetector
 from runtime.link.estimate import StateEstimate
 
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
-SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
 SLOW_DESCENT = 0.4  # m/s
 LOW = 1.8  # m over the place of take-off by the estimate, off by 1.5 m at worst, below which there may be ground
 STRUCK = 1.5  # m/s of sinking, beyond any touch-down, that ends on something
@@ -69,13 +69,13 @@ class GroundContact:
         velocity = (estimate.time, estimate.velocity_world)
         self.meter.update(specific_force, thrust, estimate.attitude, velocity, time, missing_thrust=missing_thrust)
         self._feel_blow(float(estimate.velocity_world[2]), time)
-        settled = mission.phase is not Phase.CLIMB or time - mission.phase_started > SETTLED_START
-        if mission.phase in LANDING or reference is None or not settled:
+        grace = mission.policy.grace
+        if reference is None or (grace and time - mission.phase_started <= grace):
             self._crash.reset()
             return {}
         self.meter.learn(self._period)
         distance = 0.0
-        if mission.phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
+        if mission.policy.path is not Path.STOP:  # its reference is where the vehicle will come to rest
             distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
         present = self._crash.force(self.meter, estimate.velocity_world, time)
         return present | self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
@@ -102,16 +102,17 @@ class GroundContact:
         return reported_landed or height is None or height < LOW
 
     def has_landed(
-        self, phase: Phase, state: Floats, collective_thrust: float, time: float, *, reported_landed: bool
+        self, policy: PhasePolicy, state: Floats, collective_thrust: float, time: float, *, reported_landed: bool
     ) -> bool:
         """Whether a landing has reached the ground.
 
-        state: (13,). collective_thrust: setpoint, N. time: s. reported_landed: by the autopilot.
+        policy: of the present phase. state: (13,). collective_thrust: setpoint, N. time: s.
+        reported_landed: by the autopilot.
         """
-        if phase not in LANDING:
+        if not policy.lands:
             self._touch_down_since = None
             return False
-        touching_down = phase is Phase.TOUCHDOWN
+        touching_down = policy.path is Path.DOWN
         if touching_down and self._touch_down_since is None:
             self._touch_down_since = time
         reported = reported_landed and touching_down

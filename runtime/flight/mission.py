@@ -1,10 +1,9 @@
-"""The phases of a flight, from the ground through a reference and back to it, and the motion of each. Pure."""
+"""The course of a flight: its present phase, by the table of `phases`, and the motion of each. Pure."""
 
 from __future__ import annotations
 
 import json
 import math
-from enum import Enum
 from typing import Literal
 
 import msgspec
@@ -16,30 +15,12 @@ from dynamics.references.curve import REST_TO_REST_ACCELERATION, REST_TO_REST_SP
 from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.flight.motion import Descent, Motion, Moved, Transfer
-
-
-class Phase(Enum):
-    """A phase of the flight."""
-
-    GROUND = "ground"
-    RAMP = "ramp"
-    CLIMB = "climb"
-    APPROACH = "approach"
-    TRACK = "track"
-    BRAKE = "brake"
-    RETURN = "return"
-    DESCEND = "descend"
-    TOUCHDOWN = "touchdown"
-    CONTACT = "contact"
-    SHUTDOWN = "shutdown"
-
+from runtime.flight.phases import PHASES, START, Condition, Path, Phase, PhasePolicy, Trigger, next_phase
 
 STILL = 0.3  # m/s below which braking is over
 MAX_BRAKE = 4.0  # s of braking, however fast the vehicle still is
 MAX_DRIFT = 0.1  # m sideways by which a vehicle that sinks may be off its reference
 MAX_LEAD = 0.3  # m by which the reference of a touch-down may be ahead of the estimate
-AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.CONTACT, Phase.SHUTDOWN})
-LANDING = (Phase.DESCEND, Phase.TOUCHDOWN)
 Origin = Literal["takeoff", "estimate"]
 
 
@@ -74,13 +55,12 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Mission:
     """The flight's phase and the motion that the controller tracks. Times are the daemon's, s.
 
-    phase: the present one.
     landing_reason: why the flight was cut short, empty when it was not.
     origin: of the reference's coordinates, (3,) m in the estimator's.
     """
 
     def __init__(self, vehicle: Vehicle, reference: Motion, plan: Plan) -> None:
-        self.phase = Phase.GROUND
+        self._phase = self._phase_before = START
         self.landing_reason = ""
         self.origin = np.zeros(3)
         self._vehicle = vehicle
@@ -94,12 +74,21 @@ class Mission:
         self._yaw_offset = 0.0
         self._home = np.zeros(4)
         self._ground: float | None = None
-        self._landing = False
+
+    @property
+    def phase(self) -> Phase:
+        """The present phase."""
+        return self._phase
+
+    @property
+    def policy(self) -> PhasePolicy:
+        """The present phase's row of the table."""
+        return PHASES[self._phase]
 
     @property
     def airborne(self) -> bool:
         """Whether the controller flies the vehicle, as opposed to ramps on the ground."""
-        return self.phase in AIRBORNE
+        return self.policy.airborne
 
     @property
     def phase_started(self) -> float:
@@ -114,59 +103,55 @@ class Mission:
             self.origin = self._home[POSITION].copy()
             self._reference = Moved(self._reference, self.origin)
         self._home[2] += self._plan.height
-        self._enter(Phase.RAMP, None, time)
+        self._move(Trigger.TAKE_OFF, state, time)
 
     def climb(self, state: Floats, time: float) -> None:
         """Climb to the take-off height above the place of take-off, once the vehicle has lifted off."""
-        self._transfer(Phase.CLIMB, self._takeoff_frame_pose(state), self._home, time)
+        self._move(Trigger.LIFTED, state, time)
 
     def take_over(self, state: Floats, time: float) -> None:
         """Start in the air: brake, then fly on. state: (13,)."""
         self._home = self._takeoff_frame_pose(state)
-        self._brake(state, time)
+        self._move(Trigger.TAKE_OVER, state, time)
 
     def land(self, reason: str, state: Floats, time: float) -> None:
         """Cut the flight short: brake and descend where the vehicle is. A second call does nothing."""
         if self.landing_reason:
             return
         self.landing_reason = reason
-        if self.phase in (Phase.GROUND, Phase.RAMP):
-            self._enter(Phase.SHUTDOWN, None, time)
-        elif self.phase not in (*LANDING, Phase.CONTACT, Phase.SHUTDOWN):
-            self._brake(state, time)
+        self._move(Trigger.ABORT, state, time)
 
     def sink(self, state: Floats, time: float) -> None:
         """Descend at touch-down speed, without braking first; at every call the reference stays over the vehicle.
 
         A controller that has to go elsewhere would give the thrust for it as well. state: (13,).
         """
-        if not self.airborne:
-            return
-        here = self._takeoff_frame_pose(state)
-        if self.phase is not Phase.TOUCHDOWN:
-            self._touch_down(here, time)
-        elif float(np.linalg.norm((target := self._target(time))[:2] - here[:2])) > MAX_DRIFT:
-            here[2:] = target[2:]
-            self._touch_down(here, time)
+        if self.policy.path is Path.DOWN:
+            here, target = self._takeoff_frame_pose(state), self._target(time)
+            if float(np.linalg.norm(target[:2] - here[:2])) > MAX_DRIFT:
+                here[2:] = target[2:]
+                self._follow(self._descent(here), time)
+        self._move(Trigger.SINK, state, time)
 
     def height(self, state: Floats) -> float | None:
         """Estimated height over the place of take-off, m; None where it is not known. state: (13,)."""
         return None if self._ground is None else float(self._takeoff_frame_pose(state)[2]) - self._ground
 
-    def settle(self, time: float) -> None:
-        """Take thrust away level, after a contact."""
-        self._enter(Phase.CONTACT, None, time)
+    def settle(self, state: Floats, time: float) -> None:
+        """Take thrust away level, after a contact. state: (13,)."""
+        self._move(Trigger.CONTACT, state, time)
 
     def catch(self, state: Floats, time: float) -> None:
         """Fly on after a false contact: descend from here, or brake first where the flight was cut short."""
-        if self._landing:
-            self._touch_down(self._takeoff_frame_pose(state), time)
-        else:
-            self._brake(state, time)
+        self._move(Trigger.NOT_CARRIED, state, time)
 
-    def shut_down(self, time: float) -> None:
-        """Ramp the thrust to zero and disarm, once the vehicle stands on the ground."""
-        self._enter(Phase.SHUTDOWN, None, time)
+    def shut_down(self, state: Floats, time: float) -> None:
+        """Ramp the thrust to zero and disarm, once the vehicle stands on the ground. state: (13,)."""
+        self._move(Trigger.CARRIED, state, time)
+
+    def disarmed(self, time: float) -> None:
+        """End the flight: the autopilot noticed the landing first and disarmed by itself."""
+        self._move(Trigger.DISARMED, None, time)
 
     def shift(self, position: Floats, yaw: float) -> None:
         """Move the reference by an estimator's reset: position (3,) m, yaw rad. The vehicle keeps its motion."""
@@ -175,33 +160,10 @@ class Mission:
 
     def update(self, state: Floats, time: float) -> None:
         """Enter the next phase when the present motion is over. state: (13,)."""
-        if self.phase is Phase.TOUCHDOWN:
+        if self.policy.path is Path.DOWN:
             self._limit_lead(state, time)
-        if self._motion is None or time - self._started < self._length(state):
-            return
-        here = self._target(time)
-        match self.phase:
-            case Phase.CLIMB:
-                self._approach(here, time)
-            case Phase.APPROACH:
-                self._tracked = True
-                self._enter(Phase.TRACK, self._reference, time)
-            case Phase.TRACK if self._cut_short:
-                self._brake(state, time)
-            case Phase.TRACK:
-                self._return(here, time)
-            case Phase.RETURN:
-                self._descend(here, time)
-            case Phase.BRAKE if self.landing_reason:
-                self._descend(here, time)
-            case Phase.BRAKE if self._tracked:
-                self._return(here, time)
-            case Phase.BRAKE:
-                self._approach(here, time)
-            case Phase.DESCEND:
-                self._touch_down(here, time)
-            case _:
-                pass
+        if self._motion is not None and time - self._started >= self._length(state):
+            self._move(Trigger.DONE, state, time)
 
     def window(self, times: Floats, near: Floats) -> tuple[Floats, Floats]:
         """States (n, 13) and rotor speeds (n, rotors) to track.
@@ -233,45 +195,80 @@ class Mission:
     def _length(self, state: Floats) -> float:
         """Duration of the present phase, s, including the hover at its end."""
         duration = self._motion.duration if self._motion else math.inf
-        if self.phase is Phase.TRACK:
-            return self._plan.duration if self._cut_short and self._plan.duration else duration
-        if self.phase in (Phase.APPROACH, Phase.RETURN):
-            return duration + self._plan.settle
-        if self.phase is Phase.BRAKE and float(np.linalg.norm(state[VELOCITY])) > STILL:
+        if self.policy.path is Path.REFERENCE and self._cut_short and self._plan.duration:
+            return self._plan.duration
+        if self.policy.path is Path.STOP and float(np.linalg.norm(state[VELOCITY])) > STILL:
             return duration + MAX_BRAKE
-        return duration
+        return duration + self._plan.settle if self.policy.hovers else duration
 
-    def _approach(self, here: Floats, time: float) -> None:
-        self._transfer(Phase.APPROACH, here, _pose(self._reference.states(np.zeros(1))[0]), time)
+    def _move(self, trigger: Trigger, state: Floats | None, time: float) -> None:
+        """Enter the phase that the table has after the present one, if it has one: the only way into a phase.
 
-    def _return(self, here: Floats, time: float) -> None:
-        self._transfer(Phase.RETURN, here, self._home, time)
+        state: (13,), None where the next phase tracks nothing.
+        """
+        after = next_phase(self._phase, trigger, self._conditions)
+        if after is None:
+            return
+        # a motion that is over leads to where the next one starts; what interrupts one starts at the vehicle
+        start = self._target(time) if trigger is Trigger.DONE else None
+        self._phase_before, self._phase = self._phase, after
+        self._tracked |= self.policy.path is Path.REFERENCE
+        self._follow(None if state is None else self._path(state, start), time)
 
-    def _descend(self, here: Floats, time: float) -> None:
-        low = here.copy()
-        if self._ground is not None:
-            low[2] = min(low[2], self._ground + self._plan.low)
-        self._transfer(Phase.DESCEND, here, low, time, speed=self._plan.descent)
+    @property
+    def _conditions(self) -> list[Condition]:
+        facts = {
+            Condition.CUT_SHORT: self._cut_short,
+            Condition.ENDING: bool(self.landing_reason),
+            Condition.TRACKED: self._tracked,
+            Condition.LANDING: PHASES[self._phase_before].lands,
+        }
+        return [condition for condition, holds in facts.items() if holds]
 
-    def _touch_down(self, here: Floats, time: float) -> None:
-        self._enter(Phase.TOUCHDOWN, Descent(self._vehicle, here, self._plan.touchdown), time)
+    def _follow(self, motion: Motion | None, time: float) -> None:
+        self._motion, self._started = motion, time
+
+    def _path(self, state: Floats, start: Floats | None) -> Motion | None:
+        """The present phase's motion. state: (13,). start: pose (4,) in the frame of take-off, None: the vehicle's."""
+        start = self._takeoff_frame_pose(state) if start is None else start
+        match self.policy.path:
+            case Path.NONE:
+                return None
+            case Path.TO_HOME:
+                return self._transfer(start, self._home)
+            case Path.TO_REFERENCE:
+                return self._transfer(start, _pose(self._reference.states(np.zeros(1))[0]))
+            case Path.REFERENCE:
+                return self._reference
+            case Path.STOP:
+                return self._stop(state)
+            case Path.TO_LOW:
+                low = start.copy()
+                if self._ground is not None:
+                    low[2] = min(low[2], self._ground + self._plan.low)
+                return self._transfer(start, low, speed=self._plan.descent)
+            case Path.DOWN:
+                return self._descent(start)
+
+    def _descent(self, here: Floats) -> Motion:
+        return Descent(self._vehicle, here, self._plan.touchdown)
 
     def _limit_lead(self, state: Floats, time: float) -> None:
         """Start a touch-down again near the estimate, when its height has moved by more than a descent can."""
         here, measured = self._target(time), self._takeoff_frame_pose(state)
         if abs(here[2] - measured[2]) > MAX_LEAD:
             here[2] = measured[2] + math.copysign(MAX_LEAD, here[2] - measured[2])
-            self._touch_down(here, time)
+            self._follow(self._descent(here), time)
 
-    def _brake(self, state: Floats, time: float) -> None:
+    def _stop(self, state: Floats) -> Motion:
         """Hold the point at which the vehicle can come to rest."""
         point = self._takeoff_frame_pose(state)
         point[:3] += state[VELOCITY] * float(np.linalg.norm(state[VELOCITY])) / (2 * self._plan.acceleration)
         if self._ground is not None:
             point[2] = max(point[2], self._ground + self._plan.low)
-        self._enter(Phase.BRAKE, Transfer(self._vehicle, point, point, 1.0), time)
+        return Transfer(self._vehicle, point, point, 1.0)
 
-    def _transfer(self, phase: Phase, start: Floats, end: Floats, time: float, speed: float = 0.0) -> None:
+    def _transfer(self, start: Floats, end: Floats, speed: float = 0.0) -> Motion:
         end = end.copy()
         end[3] = start[3] + math.remainder(end[3] - start[3], math.tau)
         distance, angle = float(np.linalg.norm(end[:3] - start[:3])), abs(end[3] - start[3])
@@ -281,11 +278,7 @@ class Mission:
             math.sqrt(REST_TO_REST_ACCELERATION * distance / self._plan.acceleration),
             REST_TO_REST_SPEED * angle / self._plan.yaw_rate,
         )
-        self._enter(phase, Transfer(self._vehicle, start, end, duration), time)
-
-    def _enter(self, phase: Phase, motion: Motion | None, time: float) -> None:
-        self._landing = phase in LANDING or (phase is Phase.CONTACT and self._landing)
-        self.phase, self._motion, self._started = phase, motion, time
+        return Transfer(self._vehicle, start, end, duration)
 
     def _target(self, time: float) -> Floats:
         """The present motion's pose (4,) in the frame of take-off, where the next motion starts."""

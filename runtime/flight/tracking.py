@@ -10,7 +10,7 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
-from runtime.flight.mission import Phase
+from runtime.flight.phases import Path, PhasePolicy
 from runtime.link.estimate import StateEstimate
 
 
@@ -47,9 +47,9 @@ class Tracking:
         self._attitude = 0.0
         self._last: StateEstimate | None = None
 
-    def add(self, phase: Phase, estimate: StateEstimate, reference: Floats) -> None:
-        """Add an estimate and the reference's state (13,) at the estimate's time."""
-        if phase is not Phase.TRACK or estimate is self._last:
+    def add(self, policy: PhasePolicy, estimate: StateEstimate, reference: Floats) -> None:
+        """Add an estimate and the reference's state (13,) at the estimate's time. policy: of the present phase."""
+        if policy.path is not Path.REFERENCE or estimate is self._last:
             return
         self._last = estimate
         self.samples += 1

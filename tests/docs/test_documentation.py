@@ -117,7 +117,10 @@ def test_every_page_is_in_the_menu_of_the_site() -> None:
     assert pages - set(re.findall(r"(\S+\.md)$", menu, re.MULTILINE)) == set(), "add them to nav in mkdocs.yml"
 
 
-@pytest.mark.parametrize("script", ["docs/make_api.py", "docs/make_catalogue.py", "docs/make_licences.py"])
+MADE_PAGES = ("make_api", "make_catalogue", "make_flight_rules", "make_licences")
+
+
+@pytest.mark.parametrize("script", [f"docs/{name}.py" for name in MADE_PAGES])
 def test_a_page_that_is_made_from_the_code_is_up_to_date(script: str) -> None:
     command = [sys.executable, script, "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

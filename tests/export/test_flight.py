@@ -18,7 +18,7 @@ from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
 from runtime.flight.engagement import State
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase
+from runtime.flight.phases import Phase
 from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.lockstep import FlownReference, fly_reference
 from tests.support.rate_controlled_vehicle import PERIOD, Flight, Story

@@ -19,7 +19,8 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
 from runtime.flight.composition import Controllers, warm_up
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.lockstep import FlownReference, fly_reference
 from tests.export.test_kernel import CASES, SHORT, VEHICLES, copied, solver_of

@@ -12,7 +12,7 @@ from runtime.control_thread import MAX_DEFECTS, ControlThread, Requests
 from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest, State
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase
+from runtime.flight.phases import PHASES, Phase
 from runtime.link.estimate import StateEstimate
 from runtime.link.telemetry import LinkEvent, VehicleStatus
 from runtime.record.records import ObservationRecord, Record, SetpointRecord, TextRecord, TickRecord
@@ -53,7 +53,7 @@ class ScriptedFlyer:
         self.decision, self.ticks, self.defects = decision, ticks, defects
         self.observations: list[ObservationRecord] = []
         self.engagement: Any = type("Engagement", (), {"state": State.STANDBY})
-        self.mission: Any = type("Mission", (), {"phase": Phase.GROUND})
+        self.mission: Any = type("Mission", (), {"phase": Phase.GROUND, "policy": PHASES[Phase.GROUND]})
         self.effectiveness: Any = type("Effectiveness", (), {"value": 1.0})
 
     @property

@@ -10,7 +10,8 @@ import pytest
 from dynamics.references import named_reference
 from runtime.flight.composition import Controllers
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from simulation.whole_flight import Lockstep, WholeFlight, fly_whole
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.mock import MockOptions

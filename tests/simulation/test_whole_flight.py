@@ -15,7 +15,8 @@ from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
+from runtime.flight.phases import Phase
 from simulation.whole_flight import RotorMessage, WholeFlight, fly_whole
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.mock import MockOptions

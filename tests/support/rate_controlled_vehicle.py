@@ -21,8 +21,9 @@ from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, State, Transition
 from runtime.flight.events import Event, EventChange
 from runtime.flight.flyer import Flyer
-from runtime.flight.mission import Mission, Phase, Plan
+from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
+from runtime.flight.phases import Phase
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord

@@ -11,7 +11,7 @@ from dynamics.vehicle import Vehicle
 from runtime.control.adaptation_settings import AdaptationSettings, Mode
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase
+from runtime.flight.phases import Phase
 from runtime.flight.thrust import ThrustMap
 from tests.support.rate_controlled_vehicle import Flight
 

@@ -13,7 +13,7 @@ from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rti.problem import MIN_SPEED
 from runtime.flight.events import Fallback
-from runtime.flight.mission import Phase
+from runtime.flight.phases import Phase
 from tests.support.rate_controlled_vehicle import Flight
 
 WIND = np.array([1.5, 0.0, 0.0])  # m/s^2

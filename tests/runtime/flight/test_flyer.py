@@ -20,8 +20,9 @@ from runtime.control.rotor_loss import RotorLoss
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
+from runtime.flight.phases import Phase
 from tests.support.px4_estimate import Px4Estimate
 from tests.support.rate_controlled_vehicle import Flight
 

@@ -13,8 +13,8 @@ from runtime.flight.contact import tilt_of
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event
-from runtime.flight.mission import Phase
 from runtime.flight.motion import Transfer
+from runtime.flight.phases import Phase
 from tests.support.drifting_estimate import DriftingEstimate
 from tests.support.rate_controlled_vehicle import Flight, Story
 

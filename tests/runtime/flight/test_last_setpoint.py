@@ -18,8 +18,9 @@ from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest
 from runtime.flight.events import POLICIES, Event, Fallback
 from runtime.flight.flyer import Flyer
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
+from runtime.flight.phases import Phase
 from tests.support.rate_controlled_vehicle import Flight
 
 PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)
