@@ -324,9 +324,9 @@ class ControlThread:
             preparation_seconds=self._preparation,
             departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
             late_cause=cause.value,
-            model_ratio=self._flyer.model_ratio,
-            model_uncertainty=self._flyer.model_uncertainty,
-            network_share=self._flyer.network_share,
+            model_ratio=self._flyer.controllers.main.fit_ratio,
+            model_uncertainty=self._flyer.controllers.main.uncertainty,
+            network_share=self._flyer.controllers.main.network_share,
         )
 
     def _put(self, record: Record, now: float) -> None:

@@ -414,6 +414,6 @@ class Daemon:
             scheduling=self._scheduling.describe(),
             origin=(float(origin[0]), float(origin[1]), float(origin[2])),
             followed=None
-            if flyer.adaptation is None
-            else msgspec.structs.replace(flyer.adaptation.followed, parameters=flyer.followed),
+            if flyer.controllers.adaptation is None
+            else msgspec.structs.replace(flyer.controllers.adaptation.followed, parameters=flyer.controllers.followed),
         )

@@ -13,9 +13,9 @@ from runtime.record.records import FollowedRecord
 
 def followed_record(flyer: Flyer, now: float) -> FollowedRecord | None:
     """Parameters that the flying controller's model follows at a time, s; None where it does not follow."""
-    if flyer.adaptation is None:
+    if flyer.controllers.adaptation is None:
         return None
-    filtered, named = flyer.adaptation.filter, flyer.followed
+    filtered, named = flyer.controllers.adaptation.filter, flyer.controllers.followed
     values = np.array([value.value for value in named.values()])
     deviations = np.array([value.std for value in named.values()])
     estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
@@ -29,7 +29,7 @@ def followed_record(flyer: Flyer, now: float) -> FollowedRecord | None:
         flyer.effectiveness.value,
         math.sqrt(flyer.effectiveness.variance),
     )
-    layer = flyer.adaptation.network
+    layer = flyer.controllers.adaptation.network
     if layer is None:
         return record
     return msgspec.structs.replace(

@@ -155,7 +155,7 @@ def test_estimates_that_are_missing_leave_its_history_on_the_grid_and_the_flight
         flight.run(0.03)
         flight.frozen = False
         flight.run(0.12)
-    controller = flight.flyer._controller
+    controller = flight.flyer.controllers.main
     taken = controller._acting + controller.options.period - 0.01 * np.arange(len(controller.solver.history), 0, -1)
     flown = taken <= flight.story.times[-1] - 0.02  # later columns are predictions
     truth = np.array(

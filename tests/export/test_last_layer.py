@@ -109,7 +109,7 @@ def test_a_flight_whose_network_follows_repeats_bit_for_bit(bundle: Bundle) -> N
         return Flight(controller.trim, controller, named_reference("circle:laps=1", controller.trim), nominal=nominal)
 
     flight = begun()
-    controllers = Controllers(flight.flyer._controller, flight.flyer._nominal)
+    controllers = Controllers(flight.flyer.controllers.main, flight.flyer.controllers.nominal)
     warm_up(controllers, named_reference("circle:laps=1", controllers.flying.trim), Plan(), rate=100.0)
     again = begun().flyer  # which nothing has warmed up
     flight.plant.disturbance[:] = 0.5, -0.3, 0.0
@@ -118,7 +118,7 @@ def test_a_flight_whose_network_follows_repeats_bit_for_bit(bundle: Bundle) -> N
         decision = again.step(observation, estimate)
         again.prepare(observation.time)
         np.testing.assert_array_equal(decision.rate_body, before.rate_body)
-    own, repeated = (flyer.adaptation for flyer in (flight.flyer, again))
+    own, repeated = (flyer.controllers.adaptation for flyer in (flight.flyer, again))
     assert own is not None
     assert repeated is not None
     assert own.network is not None

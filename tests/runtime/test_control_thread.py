@@ -47,13 +47,14 @@ class ScriptedFlyer:
     """Flight logic that always decides the same, or raises; over after a number of ticks."""
 
     horizon = None
-    model_ratio = model_uncertainty = network_share = float("nan")
 
     def __init__(self, decision: Decision, *, ticks: int = 1000, defects: int = 0) -> None:
         self.decision, self.ticks, self.defects = decision, ticks, defects
         self.observations: list[ObservationRecord] = []
         self.engagement: Any = type("Engagement", (), {"state": State.STANDBY})
         self.mission: Any = type("Mission", (), {"phase": Phase.GROUND, "policy": PHASES[Phase.GROUND]})
+        quality = dict.fromkeys(("fit_ratio", "uncertainty", "network_share"), float("nan"))
+        self.controllers: Any = type("Controllers", (), {"main": type("Main", (), quality), "adaptation": None})
         self.effectiveness: Any = type("Effectiveness", (), {"value": 1.0})
 
     @property

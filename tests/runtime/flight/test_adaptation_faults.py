@@ -42,7 +42,7 @@ def in_wind(vehicle: Vehicle, reference: str = "circle:laps=6,speed=1.5", follow
 
 
 def followed(flight: Flight) -> np.ndarray:
-    adaptation = flight.flyer.adaptation
+    adaptation = flight.flyer.controllers.adaptation
     assert adaptation is not None
     return np.array(adaptation.followed.disturbance)
 
@@ -99,7 +99,7 @@ def test_a_fault_of_the_input_names_nothing_that_is_not_there(
 ) -> None:
     """With wind and drags followed: the push here is none of them, and a fault makes it none."""
     flight = in_wind(arpl_250g, follow=("wind", "rotor_drag", "parasitic_drag"))
-    adaptation = flight.flyer.adaptation
+    adaptation = flight.flyer.controllers.adaptation
     assert adaptation is not None
     before = {name: value.value for name, value in adaptation.values}
     fault(flight)
@@ -116,7 +116,7 @@ def test_a_wrong_thrust_curve_is_effectiveness_and_leaves_its_variation(
 ) -> None:
     """A wrong THR_MDL_FAC scales thrust by a ratio that varies with thrust; one factor takes its mean, d the rest."""
     flight, rotors = flight_in_wind(arpl_250g), arpl_250g.rotors
-    flight.flyer._thrust_map = ThrustMap(rotors.thrust_max, rotors.thrust_curve, assumed)
+    flight.flyer.output.thrust_map = ThrustMap(rotors.thrust_max, rotors.thrust_curve, assumed)
     flight.plant._map = ThrustMap(rotors.thrust_max, rotors.thrust_curve, actual)
     flight.run(30.0, until=Phase.TRACK)
     flight.run(8.0)  # some time constants of the effectiveness, 1.3 s
@@ -124,10 +124,10 @@ def test_a_wrong_thrust_curve_is_effectiveness_and_leaves_its_variation(
     for _ in range(160):
         flight.run(0.05)
         away.append(np.linalg.norm(followed(flight)[:3] - WIND))
-        setpoint = flight.flyer._thrust_map.setpoint(
+        setpoint = flight.flyer.output.thrust_map.setpoint(
             flight.story.decisions[-1].collective_thrust, flight.flyer.effectiveness.value
         )
-        modelled.append(flight.flyer._thrust_map.collective_thrust(setpoint))
+        modelled.append(flight.flyer.output.thrust_map.collective_thrust(setpoint))
         realised.append(flight.plant._map.collective_thrust(setpoint))
     ratio = np.array(realised) / modelled
     left = float(np.ptp(ratio)) * max(modelled) / arpl_250g.body.mass  # m/s^2 that no factor explains
@@ -216,7 +216,7 @@ def test_a_rope_that_pulls_in_one_half_of_the_way_is_bounded(arpl_250g: Vehicle)
 
 def test_what_changed_is_an_event_with_its_interval(arpl_250g: Vehicle) -> None:
     flight = in_wind(arpl_250g)
-    adaptation = flight.flyer.adaptation
+    adaptation = flight.flyer.controllers.adaptation
     assert adaptation is not None
     text = "rotor_drag.coefficient 2.2e-05 +- 2e-06 N s^2/(m rad)"
     adaptation._describe_changes = lambda: text  # type: ignore[method-assign]

@@ -30,7 +30,7 @@ def flight_of(
 
 
 def followed(flight: Flight) -> np.ndarray:
-    adaptation = flight.flyer.adaptation
+    adaptation = flight.flyer.controllers.adaptation
     assert adaptation is not None
     return np.array(adaptation.followed.disturbance[:3])
 
@@ -152,6 +152,8 @@ def test_a_solver_that_is_reset_keeps_the_estimate(arpl_250g: Vehicle) -> None:
     flight.run(30.0, until=Phase.TRACK)
     flight.run(4.0)
     before = followed(flight)
-    flight.flyer._start_controller(flight.time)
+    state = flight.flyer._measured.state
+    assert state is not None
+    flight.flyer.controllers.start(state, flight.time)
     assert largest(flight, 2.0, before) < 0.3
     assert max(flight.story.errors[-50:]) < 0.05

@@ -1,0 +1,73 @@
+"""The newest measurements of a flight: estimate with a consistent velocity, specific force, battery voltage. Pure."""
+
+from __future__ import annotations
+
+from math import isnan, nan
+
+import numpy as np
+
+from dynamics.arrays import Floats
+from runtime.flight.consistent_velocity import ConsistentVelocity
+from runtime.flight.events import Event
+from runtime.flight.health import FrozenEstimate
+from runtime.flight.thrust import specific_force_z
+from runtime.link.estimate import StateEstimate
+from runtime.record.records import ObservationRecord
+
+
+class Measurements:
+    """Measurements up to the present tick.
+
+    estimate: the newest, its velocity corrected; None before the first.
+    state: (13,) of it, None before the first.
+    fresh: whether it is newer than at the last tick.
+    force: (3,) specific force, m/s^2, body; NaN where none is new.
+    voltage: of the battery, V; NaN before the first.
+    """
+
+    def __init__(self) -> None:
+        self.estimate: StateEstimate | None = None
+        self.state: Floats | None = None
+        self.fresh = False
+        self.force = np.full(3, np.nan)
+        self.voltage = nan
+        self._received: StateEstimate | None = None
+        self._previous: StateEstimate | None = None
+        self._observation: ObservationRecord | None = None
+        self._velocity, self._frozen = ConsistentVelocity(), FrozenEstimate()
+
+    def take(self, observation: ObservationRecord, received: StateEstimate | None) -> None:
+        """Take one tick. received: the newest estimate, the same object while there is no newer."""
+        self.fresh = received is not None and received is not self._received
+        self._received = received
+        estimate = None if received is None else self.estimate
+        if received is not None and self.fresh:
+            estimate = self._velocity.correct(received, moved=observation.reset)
+            self.state = estimate.state
+        self._previous, self.estimate = self.estimate, estimate
+        self.force = np.append(observation.specific_force_xy, observation.specific_force_z)
+        self.voltage = observation.battery_voltage if observation.battery_voltage > 0 else self.voltage
+        self._observation = observation
+
+    def take_observation(self) -> ObservationRecord | None:
+        """The last observation, once."""
+        observation, self._observation = self._observation, None
+        return observation
+
+    @property
+    def moved_on(self) -> bool:
+        """Whether the estimate is another one than at the last tick."""
+        return self.estimate is not None and self.estimate is not self._previous
+
+    @property
+    def vertical_force(self) -> float:
+        """Specific force along body z, m/s^2: measured, else from two estimates; NaN without either."""
+        force, now, before = float(self.force[2]), self.estimate, self._previous
+        if isnan(force) and now is not None and before is not None and now.time - before.time > 1e-3:
+            elapsed = now.time - before.time
+            return specific_force_z(before.velocity_world, now.velocity_world, elapsed, now.attitude)
+        return force
+
+    def frozen(self) -> dict[Event, str]:
+        """The event of estimates that stay the same while the force changes, if they do."""
+        return {} if self._received is None else self._frozen.update(self._received, self.force)
