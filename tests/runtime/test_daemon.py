@@ -24,6 +24,7 @@ from dynamics.errors import VehicleError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime import daemon as daemon_module
+from runtime import supervisor as supervisor_module
 from runtime.daemon import Daemon
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
@@ -221,7 +222,7 @@ def test_a_pilot_who_is_to_arm_is_told_so_and_nothing_moves_before(vehicle: Vehi
 
 
 def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daemon_module, "READINESS_PATIENCE", 3.0)
+    monkeypatch.setattr(supervisor_module, "READINESS_PATIENCE", 3.0)
     arguments = scenario(tmp_path, 'kind = "packet_loss"\nat = 0.0\nprobability = 0.4')
     announcements = Announcements()
     with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
@@ -327,7 +328,7 @@ class ClosableLink:
 def test_a_control_thread_that_does_not_end_loses_its_link(vehicle: Vehicle) -> None:
     announcements, link = Announcements(), ClosableLink()
     daemon = Daemon(request_for("udpin:127.0.0.1:14540"), vehicle, reference_of(vehicle), announcements)
-    daemon._stop(link, Stuck())  # type: ignore[arg-type]
+    daemon._stop(link, Stuck(), None)  # type: ignore[arg-type]
     assert link.closed
     assert announcements.contain("did not end within 1 s: its link was closed")
 

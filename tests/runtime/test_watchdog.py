@@ -8,17 +8,15 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
-from dynamics.vehicle_file import read_vehicle
-from runtime.daemon import LANDING_PATIENCE, Daemon
-from runtime.flight_request import FlightRequest
-from runtime.link.connection import parse_endpoint
+from runtime.control_thread import Requests
 from runtime.service_manager import MIN_WATCHDOG, ServiceManager
 from runtime.setpoint_stream import SetpointStream
+from runtime.supervisor import LANDING_PATIENCE, Supervisor
 from tests.support.pages import ROOT
-from vehicles import FOLDER
 
 UNIT = ROOT / "examples" / "deploy" / "alula-fly.service"
 
@@ -74,15 +72,25 @@ def listener(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket
 
 def supervise(ticks: list[int], listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> SlowWorker:
     """Run the supervisor's loop over a scripted control thread; all else that it does is left out."""
-    request = FlightRequest(parse_endpoint("udpin:127.0.0.1:0"))
-    daemon: Any = Daemon(request, read_vehicle(FOLDER / "px4_sih.toml"), None, lambda text: None)  # type: ignore[arg-type]
-    for name in ("_slow_findings", "_await_readiness", "_remind_pilot"):
-        monkeypatch.setattr(daemon, name, lambda *_: {})
-    daemon._service = ServiceManager.from_environment()
-    daemon._worker = SlowWorker([], listener)
-    daemon._serve(None, ScriptedControl(ticks))
-    daemon._service.close()
-    worker: SlowWorker = daemon._worker
+    worker, service, unused = SlowWorker([], listener), ServiceManager.from_environment(), Mock()
+    supervisor = Supervisor(
+        unused,
+        ScriptedControl(ticks),  # type: ignore[arg-type]
+        worker,  # type: ignore[arg-type]
+        unused,
+        Requests(),
+        slow_checks=lambda now: {},
+        streams=unused,
+        feed=unused,
+        scheduling=unused,
+        announcements=unused,
+        service=service,
+        timeout=10.0,
+    )
+    for name in ("_await_readiness", "_remind_pilot"):
+        monkeypatch.setattr(supervisor, name, lambda now: None)
+    supervisor.serve()
+    service.close()
     return worker
 
 
