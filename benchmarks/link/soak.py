@@ -31,8 +31,20 @@ VEHICLE = "arpl_250g"
 PICTURE = "soak.png"
 PERIOD = 1.0  # s between samples of the processes
 MOCK_PRIORITY = 1
+FIRST, LAST = "-> STREAMING", "ENGAGED -> STANDBY"  # changes of state between which samples are taken
 ROWS = 10  # of the table over time
 BIN = 10.0  # s of ticks for each point of the picture
+FIGURES = (
+    "flight, setpoints",
+    "ended",
+    "memory of the daemon grows, a minute",
+    "threads",
+    "descriptors",
+    "recording, MCAP and tlog, at most",
+    "late setpoints of those recorded: ours, scheduler",
+    "position error, RMS",
+    "events",
+)
 WARM_UP = 60.0  # s that the growth of memory leaves out
 PATIENCE = 180.0  # s for start, take-off and landing
 ENDURANCE = 10  # of the battery, in flights: an hour would empty the usual one
@@ -56,6 +68,17 @@ class Sample:
     threads: int
     descriptors: int
     disk: int
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight: samples, report, and of each recorded tick with a setpoint time and lateness (n,), s, and its cause."""
+
+    samples: list[Sample]
+    report: dict[str, Any]
+    times: Floats
+    lateness: Floats
+    causes: list[str]
 
 
 def status(process: int, field: str) -> int:
@@ -90,20 +113,28 @@ def give_processor(process: int) -> None:
             os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(MOCK_PRIORITY))
 
 
-def fly(options: Any, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
-    """Samples of a flight beside the mock, from its first setpoint to its end, and its report."""
+def fly(options: Any, minutes: float, limit: float | None) -> Flight:
+    """Fly beside the mock. minutes: of the reference. limit: of the recording, MB, None for none."""
+    with tempfile.TemporaryDirectory() as folder:
+        samples, report = sampled(options, minutes, limit, Path(folder))
+        ticks = list(ticks_of(Path(report["recording"])))
+    lateness = [tick.departure_seconds for tick in ticks]
+    causes = [tick.late_cause for tick in ticks]
+    return Flight(samples, report, np.array([tick.time for tick in ticks]), np.array(lateness, dtype=float), causes)
+
+
+def sampled(options: Any, minutes: float, limit: float | None, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
+    """Samples from the first setpoint until the vehicle is disarmed, and the report."""
     scenario, recordings = folder / "scenario.toml", folder / "recordings"
-    battery = usual_battery(
-        read_vehicle(find_vehicle(VEHICLE)), endurance=ENDURANCE * (60 * options.minutes + PATIENCE)
-    )
+    battery = usual_battery(read_vehicle(find_vehicle(VEHICLE)), endurance=ENDURANCE * (60 * minutes + PATIENCE))
     scenario.write_text(
         "\n".join(["[battery]", *(f"{key} = {value}" for key, value in msgspec.structs.asdict(battery).items())])
     )
     recordings.mkdir()
     command = [*ALULA, "fly", "--vehicle", VEHICLE, "--reference", options.reference, "--json"]
-    command += ["--duration", str(60 * options.minutes), "--rate", "100", "--record", str(recordings)]
+    command += ["--duration", str(60 * minutes), "--rate", "100", "--record", str(recordings)]
     command += ["--no-realtime"] if options.plain else []
-    command += ["--record-limit", str(options.record_limit)] if options.record_limit else []
+    command += ["--record-limit", str(limit)] if limit else []
     taken: list[Sample] = []
     with (
         mock_process("--scenario", str(scenario), vehicle=VEHICLE) as mock,
@@ -113,9 +144,10 @@ def fly(options: Any, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
     ):
         if not options.plain:
             give_processor(mock.process.pid)
-        deadline = time.monotonic() + 60 * options.minutes + PATIENCE
+        deadline = time.monotonic() + 60 * minutes + PATIENCE
         while flight.poll() is None and time.monotonic() < deadline:
-            if "-> STREAMING" in (folder / "log").read_text():
+            text = (folder / "log").read_text()
+            if FIRST in text and LAST not in text:
                 with suppress(OSError, StopIteration):  # it has ended meanwhile
                     taken.append(sample(flight.pid, mock.process.pid, recordings))
             time.sleep(PERIOD)
@@ -152,16 +184,17 @@ def binned(times: Floats, values: Floats, start: float, width: float) -> list[tu
     return [((each + 0.5) * width, values[number == each]) for each in np.unique(number).tolist()]
 
 
-def table(samples: Sequence[Sample], times: Floats, lateness: Floats, minutes: float) -> list[str]:
-    """Rows over time. times, lateness: (n,) of the ticks, s."""
+def table(flight: Flight) -> list[str]:
+    """Rows over time."""
     lines = [
         "| minutes | memory, MB | mock's memory, MB | threads | descriptors | recording, MB | "
         "arrival to departure, ms: median / p99 / max |",
         "| --- " * 7 + "|",
     ]
-    start, width = samples[0].time, 60 * max(minutes / ROWS, 0.1)
-    for middle, values in binned(times, lateness, start, width):
-        since = [each for each in samples if abs(each.time - start - middle) <= width / 2]
+    start = flight.samples[0].time
+    width = max((flight.samples[-1].time - start) / ROWS, 6.0)
+    for middle, values in binned(flight.times, flight.lateness, start, width):
+        since = [each for each in flight.samples if abs(each.time - start - middle) <= width / 2]
         if not since:
             continue
         latest = since[-1]
@@ -173,26 +206,25 @@ def table(samples: Sequence[Sample], times: Floats, lateness: Floats, minutes: f
     return lines
 
 
-def plot(samples: Sequence[Sample], times: Floats, lateness: Floats) -> None:
+def plot(flight: Flight, limited: Flight) -> None:
     """Memory, threads and descriptors, recording and lateness over time, into the folder of results."""
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    start = samples[0].time
-    since = [(each.time - start) / 60 for each in samples]
     figure, axes = plt.subplots(2, 2, figsize=(10, 5.5), sharex=True)
     (memory, counts), (disk, late) = axes
-    memory.plot(since, [each.memory / 1e6 for each in samples], label="daemon")
-    memory.plot(since, [each.mock_memory / 1e6 for each in samples], color="0.6", label="mock")
+    for each, name in ((flight, "whole recording"), (limited, "with --record-limit")):
+        since = [(sample.time - each.samples[0].time) / 60 for sample in each.samples]
+        memory.plot(since, [sample.memory / 1e6 for sample in each.samples], label=name)
+        disk.plot(since, [sample.disk / 1e6 for sample in each.samples], label=name)
+        counts.plot(since, [sample.descriptors for sample in each.samples], label=f"descriptors, {name}")
+        counts.plot(since, [sample.threads for sample in each.samples], label=f"threads, {name}")
     memory.set_ylabel("resident memory, MB")
     memory.set_ylim(bottom=0)
-    counts.plot(since, [each.descriptors for each in samples], label="descriptors")
-    counts.plot(since, [each.threads for each in samples], label="threads")
     counts.set_ylabel("number")
     counts.set_ylim(bottom=0)
-    disk.plot(since, [each.disk / 1e6 for each in samples], label="MCAP and tlog")
     disk.set_ylabel("recording, MB")
-    bins = binned(times, lateness, start, BIN)
+    bins = binned(flight.times, flight.lateness, flight.samples[0].time, BIN)
     for percent, name in ((50, "median"), (99, "99th percentile"), (100, "greatest")):
         late.semilogy(
             [middle / 60 for middle, _ in bins],
@@ -209,56 +241,64 @@ def plot(samples: Sequence[Sample], times: Floats, lateness: Floats) -> None:
     plt.close(figure)
 
 
+def column(flight: Flight) -> list[str]:
+    """Figures of a flight, in the order of FIGURES."""
+    samples, report = flight.samples, flight.report
+    threads, descriptors = ({getattr(each, name) for each in samples} for name in ("threads", "descriptors"))
+    minutes = (samples[-1].time - samples[0].time) / 60
+    late = [flight.causes.count(cause) for cause in ("ours", "scheduler")]
+    return [
+        f"{minutes:.1f} min, {report['timing']['ticks']}",
+        report["outcome"],
+        f"{60 * growth(samples) / 1e3:.0f} kB",
+        f"{min(threads)} to {max(threads)}",
+        f"{min(descriptors)} to {max(descriptors)}",
+        f"{max(each.disk for each in samples) / 1e6:.1f} MB",
+        f"{late[0]}, {late[1]} of {len(flight.causes)}",
+        f"{1e3 * report['tracking']['position_rmse']:.0f} mm",
+        ", ".join(f"{name} {count}x" for name, count in report["events"].items()) or "none",
+    ]
+
+
 def soak(words: Sequence[str]) -> Page:
-    """A long flight at 100 Hz against the mock: does anything of the daemon grow, and does it become late?
+    """Long flights at 100 Hz against the mock: does anything of the daemon grow, and does it become late?
 
     Memory, threads, descriptors and the recording's files are read from /proc and the folder once a second; lateness is
-    that of the recorded ticks, from what triggers one, an estimate's arrival, to the departure of its setpoint.
+    that of the recorded ticks, from what triggers one, an estimate's arrival, to the departure of its setpoint. Beside
+    it a flight with a bounded recording.
 
-        python -m benchmarks link soak [--minutes 10] [--record-limit MB] [--reference lemniscate] [--plain]
+        python -m benchmarks link soak [--minutes 10] [--limited-minutes 4] [--record-limit MB] [--plain]
 
     Mock and daemon are processes of their own on this machine, the mock under SCHED_FIFO as well, since a vehicle has
     its own processors. An hour is --minutes 60.
     """
     parser = options_of(soak.__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of the reference")
-    parser.add_argument("--record-limit", type=float, help="MB, as of alula fly")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of the reference, with all of the recording")
+    parser.add_argument("--limited-minutes", type=float, default=4.0, help="of the reference, with a bounded recording")
+    parser.add_argument("--record-limit", type=float, default=10.0, help="MB of the bounded recording")
     parser.add_argument("--reference", default="lemniscate", help="as of alula fly")
     parser.add_argument("--plain", action="store_true", help="ordinary scheduling instead of SCHED_FIFO")
     options = parser.parse_args(words)
-    with tempfile.TemporaryDirectory() as folder:
-        samples, report = fly(options, Path(folder))
-        ticks = list(ticks_of(Path(report["recording"])))
-    times = np.array([tick.time for tick in ticks])
-    lateness = np.array([tick.departure_seconds for tick in ticks])
-    if not (options.quick or options.no_page) and report["completed"]:
-        plot(samples, times, lateness)
-    late = {cause: sum(tick.late_cause == cause for tick in ticks) for cause in ("ours", "scheduler")}
-    threads, descriptors = ([getattr(each, name) for each in samples] for name in ("threads", "descriptors"))
-    minutes = (samples[-1].time - samples[0].time) / 60
-    errors = report["tracking"]["position_rmse"]
+    flight = fly(options, options.minutes, None)
+    limited = fly(options, options.limited_minutes, options.record_limit)
+    completed = flight.report["completed"] and limited.report["completed"]
+    if completed and not (options.quick or options.no_page):
+        plot(flight, limited)
     lines = [
         paragraph_of(soak.__doc__),
         "",
-        f"One flight of `{options.reference}`, {report['scheduling']}, ended: {report['outcome']}. Both processes at "
-        f"niceness {os.nice(0)}; load average over the last 15 min {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores.",
+        f"Flights of `{options.reference}`, {flight.report['scheduling']}. Both processes at niceness {os.nice(0)}; "
+        f"load average over the last 15 min {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores.",
         "",
-        "| what | figure |",
-        "| --- | --- |",
-        f"| flight, from the first setpoint | {minutes:.1f} min, {report['timing']['ticks']} setpoints |",
-        f"| memory of the daemon, after a minute's warm-up | grows by {60 * growth(samples) / 1e3:.0f} kB a minute |",
-        f"| threads | {min(threads)} to {max(threads)} |",
-        f"| descriptors | {min(descriptors)} to {max(descriptors)} |",
-        f"| recording, MCAP and tlog | {max(each.disk for each in samples) / 1e6:.1f} MB at most |",
-        f"| late setpoints: ours, scheduler | {late['ours']}, {late['scheduler']} |",
-        f"| position error, RMS | {1e3 * errors:.0f} mm |",
-        f"| events | {', '.join(f'{name} {count}x' for name, count in report['events'].items()) or 'none'} |",
+        f"| figure | whole recording | --record-limit {options.record_limit:g} |",
+        "| --- | --- | --- |",
+        *(f"| {' | '.join(row)} |" for row in zip(FIGURES, column(flight), column(limited), strict=True)),
         "",
-        *table(samples, times, lateness, minutes),
+        *table(flight),
         "",
-        "Times of arrival and departure are kept for percentiles in arrays of a fixed size, whose pages the operating "
-        "system gives as they are filled: 24 bytes a setpoint, 140 kB a minute, up to 9.6 MB.",
+        "A whole recording's index is in memory until its end: about 0.9 kB for each chunk of 0.4 s, 130 kB a minute. "
+        "A bounded recording writes it with each part.",
         "",
         f"![over time]({PICTURE})",
     ]
-    return Page("soak", "A soak of the daemon", "\n".join(lines), trial=not report["completed"])
+    return Page("soak", "A soak of the daemon", "\n".join(lines), trial=not completed)
