@@ -42,8 +42,9 @@ def check_machine(
     exported, checks = _bundle(bundle)
     if exported is None:
         cache = kernels.check_cache()
+        compiler = kernels.check_compiler(cache_usable=cache.state == "ok")
         compiles = symbolic.is_installed() and has_compiler()
-        checks += [kernels.check_compiler(cache_usable=cache.state == "ok"), _needed_by(cache, compiles=compiles)]
+        checks += [_needed_by(each, compiles=compiles) for each in (compiler, cache)]
     else:
         checks += [Check(name, "ok", kernels.NOT_NEEDED) for name in (kernels.COMPILER, kernels.CACHE)]
     checks.append(kernels.check_simd(exported))
@@ -85,6 +86,6 @@ def _bundle(folder: Path | None) -> tuple[Bundle | None, list[Check]]:
     return exported, [Check(BUNDLE, "ok", f"{folder} is intact, for {exported.manifest.processor}")]
 
 
-def _needed_by(cache: Check, *, compiles: bool) -> Check:
-    """The check of the cache folder; a warning where nothing is compiled into it."""
-    return cache if compiles or cache.state == "ok" else msgspec.structs.replace(cache, state="warning")
+def _needed_by(check: Check, *, compiles: bool) -> Check:
+    """The check of compiler or cache folder; at most a warning where controllers are not compiled here."""
+    return check if compiles or check.state == "ok" else msgspec.structs.replace(check, state="warning")

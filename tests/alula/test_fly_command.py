@@ -9,10 +9,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from alula.cli.fly import _following
+from runtime.record.parts import part_path
 from simulation.mock_process import free_port, mock_process
 from tests.support.command_line import Run, command_line
 from vehicles import FOLDER
@@ -185,3 +188,13 @@ def _signalled(first: signal.Signals, word: str, second: signal.Signals | None =
         output, notifications = flight.communicate(timeout=250)
     assert output, notifications
     return json.loads(output), flight.returncode
+
+
+def test_the_next_command_names_every_part_of_a_bounded_recording(tmp_path: Path) -> None:
+    parts = [part_path(tmp_path, "flight", number) for number in (7, 8, 9)]
+    for path in parts:
+        path.touch()
+    report: Any = SimpleNamespace(recording=str(parts[-1]))
+    assert _following(report, "px4_sih", None, tmp_path, []) == ["diagnose", *parts, "--vehicle", "px4_sih"]
+    report.recording = str(tmp_path / "flight.mcap")
+    assert _following(report, "px4_sih", None, tmp_path, [])[1] == report.recording

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from dynamics import symbolic
 from runtime.control.rti.processor import native_processor
 from runtime.link.connection import parse_endpoint
 from runtime.machine import kernels
@@ -63,6 +64,15 @@ def test_a_folder_of_code_that_cannot_be_written_is_a_problem(tmp_path: Path, mo
     check = kernels.check_cache()
     assert check.state == "problem"
     assert "ALULA_CACHE" in check.advice
+
+
+def test_a_folder_of_code_that_nothing_is_compiled_into_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ALULA_CACHE", "/dev/null/cache")
+    monkeypatch.setattr(symbolic, "is_installed", lambda: False)
+    report = check_machine(parse_endpoint(f"udpin:127.0.0.1:{free_port()}"), bundle=None, priority=50)
+    states = {check.name: check.state for check in report.checks}
+    assert states["cache folder"] == "warning"
+    assert "BLASFEO" not in states
 
 
 def test_a_compiler_that_refuses_our_flags_is_a_problem(
