@@ -105,8 +105,8 @@ class Deadlines:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # written, so that every page is there before the flight: pages of zeros are given one by one, inside of ticks
-        self._latency, self._busy, self._interval = (np.full(CAPACITY, 0.0) for _ in range(3))
+        self._latency, self._busy = np.zeros(CAPACITY), np.zeros(CAPACITY)
+        self._interval = np.zeros(CAPACITY)
         self._answered = self._count = 0
         self._last_departure = 0.0
         self._recent = 0.0

@@ -297,7 +297,7 @@ def soak(words: Sequence[str]) -> Page:
         *table(flight),
         "",
         "A whole recording's index is in memory until its end: about 0.9 kB for each chunk of 0.4 s, 130 kB a minute. "
-        "A bounded recording writes it with each part.",
+        "A bounded recording writes it with each part. What else grows is not attributed yet.",
         "",
         f"![over time]({PICTURE})",
     ]
