@@ -147,6 +147,7 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--networks", "build/rti_network_trial", "--steps", "300"),
         ),
         "box_qp": Measurement("benchmarks.kernel.box_qp:box_qp", ("box_qp",), KERNEL),
+        "limits": Measurement("benchmarks.kernel.limits:limits", ("limits",), KERNEL, ("--problems", "1600")),
         "jitter": Measurement(
             "benchmarks.kernel.jitter:jitter", ("rti_jitter", "rti_jitter_network"), KERNEL, ("--seconds", "2")
         ),

@@ -30,7 +30,7 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = {
     "levenberg_marquardt": (0.0, 1e3, "on the Hessian's diagonal"),
     "tolerance": (1e-9, 1e-2, "of the quadratic program"),
     "iterations": (1, 200, "iterations"),
-    "row_iterations": (1, 200, "iterations"),
+    "preparation_iterations": (1, 200, "iterations"),
     "soft_penalty": (1e-3, 1e8, "per violation"),
     "rate_lookahead": (0.0, 1.0, "s"),
     "yaw_lookahead": (0.0, 2.0, "s"),
@@ -53,8 +53,8 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     terminal_weight: factor from these weights to the last node's.
     levenberg_marquardt: added to the Hessian's diagonal.
     tolerance: of the quadratic program's optimality.
-    iterations: at most, of the quadratic program.
-    row_iterations: at most, where bounds on states or thrust act.
+    iterations: at most, of the quadratic program once the state is measured.
+    preparation_iterations: at most, before the state is measured.
     soft_penalty: price of leaving such a bound, linear and quadratic.
     keep_in_box: whether the prediction keeps to the position box of [limits].
     rate_lookahead: time along the prediction's slope at which roll and pitch rate setpoints are read, s; by default
@@ -74,9 +74,9 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     input_weight: float = 4.0
     terminal_weight: float = 3.0
     levenberg_marquardt: float = 1e-3
-    tolerance: float = 1e-5
-    iterations: int = 50
-    row_iterations: int = 50
+    tolerance: float = 1e-3
+    iterations: int = 5
+    preparation_iterations: int = 12
     soft_penalty: float = 300.0
     keep_in_box: bool = True
     rate_lookahead: float | None = None

@@ -34,7 +34,7 @@ from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
 from runtime.control.network_features import NetworkFeatures, read_features
 from runtime.control.rti.prebuilt import flown_model
 from runtime.control.rti.problem import DEFAULTS, Problem
-from runtime.control.rti.solver import RtiSolver
+from runtime.control.rti.solver import CUT, SOLVED, RtiSolver
 
 HISTORY = 64  # ticks of inputs stored for delay compensation
 MIN_SHARE = 0.5  # of the network's output, below which it counts as not flown
@@ -115,7 +115,7 @@ class Command:
     rate_body: (3,) rad/s, body FLU.
     collective_thrust: N.
     rotor_speed: (n,) rad/s, the optimal input from which they follow.
-    status: of the solver, 0 when it solved its problem.
+    status: of the solver, SOLVED or CUT where it has an answer.
     seconds: of the feedback.
     """
 
@@ -130,7 +130,12 @@ class Command:
         """Why it must not be sent, empty when it may be."""
         if not math.isfinite(float(self.rate_body.sum()) + self.collective_thrust):
             return "the solution is not finite"
-        return f"status {self.status}" if self.status != 0 else ""
+        return "" if self.status in (SOLVED, CUT) else f"status {self.status}"
+
+    @property
+    def cut(self) -> bool:
+        """Whether the solver's iterations ran out: inputs keep their bounds, the rest is not quite the optimum."""
+        return self.status == CUT
 
 
 class Controller:

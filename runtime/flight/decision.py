@@ -41,7 +41,7 @@ class Decision:
     collective_thrust: N, that it stands for.
     held_thrust: 0..1, of a setpoint without rates that may be held if the stream has to end before the next tick.
     fallback: that is flown.
-    solver_status: 0 is success, -1 no solution was computed.
+    solver_status: 0 solved, 1 cut short with inputs within their limits, -1 no solution was computed.
     feedback_seconds: of the solver.
     requests: for the autopilot.
     transitions: of the engagement.

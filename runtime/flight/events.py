@@ -43,6 +43,7 @@ class Event(Enum):
     ESTIMATOR_REJECTS = "estimator_rejects"
     INPUT_NOT_FINITE = "input_not_finite"
     SOLVER_FAILED = "solver_failed"
+    SOLVER_CUT = "solver_cut"
     DEADLINES_MISSED = "deadlines_missed"
     CLOCK_UNCERTAIN = "clock_uncertain"
     CLOCK_BACKWARDS = "clock_backwards"
@@ -133,6 +134,7 @@ POLICIES: Mapping[Event, Policy] = {
         "the estimate is unusable", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),
     Event.SOLVER_FAILED: Policy("the solver failed", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05),
+    Event.SOLVER_CUT: Policy("the solver was cut short, inputs keep their limits", Severity.NOTICE),
     Event.DEADLINES_MISSED: Policy("ticks are late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),
     Event.CLOCK_UNCERTAIN: Policy("the vehicle's clock is uncertain", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.CLOCK_BACKWARDS: Policy(

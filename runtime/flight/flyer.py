@@ -430,6 +430,8 @@ class Flyer:
             return None
         decision.solver_status, decision.feedback_seconds = command.status, command.seconds
         if not command.fault:
+            if command.cut:
+                self._pending[Event.SOLVER_CUT] = f"{self.controllers.main.options.problem.iterations} iterations"
             return command
         self._pending[Event.SOLVER_FAILED] = command.fault
         decision.fallback = self._chain.replace_solution(Event.SOLVER_FAILED, command.fault)

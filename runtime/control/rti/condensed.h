@@ -5,13 +5,13 @@
  * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, the derivative of g
  * by dx_0. rti_feedback takes the measured state and solves a dense QP in the inputs alone.
  *
- * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone (box_qp.h);
- * where its solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again
- * by HPIPM: the optimum of a relaxation that is feasible is the optimum. */
+ * Bounds on states and thrust are soft rows of that QP (box_qp.h). A preparation solves it as far as the state expected
+ * allows; the feedback goes on from there with the measured one, for so many iterations at most. */
 #ifndef ALULA_CONDENSED_H
 #define ALULA_CONDENSED_H
 
 #include <math.h>
+#include <stdlib.h>
 #include <time.h>
 
 /* Required from the including file: NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, columns of its past;
@@ -20,15 +20,15 @@
 #define LANES_OF(type) (VECTOR_BYTES / (int)sizeof(type))
 #define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
 #define LD_S ROUND_TO(X0 + NV, LANES_OF(SENSITIVITY))
-#define SOLVES 3
+#define SOFT (NODES * (NX + 1))
+#define NO_ROOM 1e-4 /* of a scaled input: what bounds that coincide are moved apart by */
 #define SUMS 16
 
 #include "box_qp.h"
-#include "dense_qp.h"
 #include "flight_filter.h"
 #include "state.h"
 
-#define FAR 1e8 /* no bound: the interior-point method takes finite numbers only */
+#define FAR 1e6 /* no bound: the interior-point method takes finite numbers only */
 #define DISTURBANCE (2 * AXES + 2)
 
 typedef struct {
@@ -36,12 +36,12 @@ typedef struct {
     double u_lower[NU], u_upper[NU], x_lower[NX], x_upper[NX];
     double thrust_constant[NU], thrust_lower, thrust_upper; /* of each rotor, N s^2/rad^2; of all, N */
     double node, scale, levenberg_marquardt, tolerance, penalty;
-    int iterations, row_iterations;
+    int iterations, preparation_iterations;
 } rti_options;
 
 typedef struct {
     double prepare_seconds, rollout_seconds, tangent_seconds, condense_seconds, feedback_seconds;
-    int status, iterations, rows, solves;
+    int status, iterations, rows, preparation_iterations;
 } rti_report;
 
 typedef struct {
@@ -54,19 +54,25 @@ typedef struct {
     double g_measured[NV];
     flight_filter filter;
     double disturbance[DISTURBANCE]; /* accelerations that stay, those that fade, rates of fading, 1/s */
-    double C[NV * NODES * (NX + 1)], row_lower[NODES * (NX + 1)], row_upper[NODES * (NX + 1)];
     rti_options options;
     rti_report report;
     bool prepared;
-    bool bounded[NX + 1]; /* whether a quantity's rows are in the QP: each state, then collective thrust */
+    int bounded[NX + 1], quantities; /* those with bounds: states, then NX for collective thrust */
+    soft_rows soft;
     box_qp box;
-    dense_qp *rows[NX + 2]; /* HPIPM's, by the number of quantities with rows; without any where box_qp fails */
 } condensed;
 
 static double now(void) {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static void *aligned_zeros(size_t bytes) {
+    size_t padded = (bytes + 127) / 64 * 64;
+    void *memory = aligned_alloc(64, padded);
+    if (memory) memset(memory, 0, padded);
+    return memory;
 }
 
 static double lower_bound(const condensed *r, int i) {
@@ -81,19 +87,13 @@ static bool is_bounded(const condensed *r, int i) {
 
 static void condensed_create(condensed *r, const rti_options *options) {
     r->options = *options;
-    r->rows[0] = dense_qp_create(NV, 0, options->tolerance, options->iterations, 0);
-    for (int i = 0, quantities = 0; i <= NX; i++)
-        if (is_bounded(r, i)) {
-            quantities++;
-            r->rows[quantities] =
-                dense_qp_create(NV, NODES * quantities, options->tolerance, options->row_iterations, options->penalty);
-        }
+    r->soft.penalty = options->penalty;
+    for (int i = 0; i <= NX; i++)
+        if (is_bounded(r, i)) r->bounded[r->quantities++] = i;
+    r->soft.count = ROUND_TO(NODES * r->quantities, BOX_LANES); /* the last ones are empty */
 }
 
-void rti_free(condensed *r) {
-    for (int i = 0; i < NX + 2; i++) dense_qp_free(r->rows[i]);
-    free(r);
-}
+void rti_free(condensed *r) { free(r); }
 
 double *rti_states(condensed *r) { return &r->x[0][0]; }
 double *rti_inputs(condensed *r) { return &r->u[0][0]; }
@@ -111,6 +111,11 @@ void rti_filter_clear(condensed *r) { filter_clear(&r->filter); }
 void rti_fly_disturbance(condensed *r, double moments) { filter_flown(&r->filter, moments, r->disturbance); }
 double *rti_hessian(condensed *r) { return r->H; }
 double *rti_gradient(condensed *r) { return r->g; }
+double *rti_measured_gradient(condensed *r) { return r->g_measured; }
+double *rti_rows(condensed *r) { return &r->soft.rows[0][0]; }
+double *rti_row_bounds(condensed *r) { return &r->soft.bound[0][0]; }
+int rti_row_width(void) { return BOX_ROWS; }
+int rti_row_capacity(void) { return SOFT_ROWS; }
 rti_report *rti_last_report(condensed *r) { return &r->report; }
 
 static void rates_of(const double *x, double *rates) {
@@ -137,7 +142,8 @@ int rti_filter_compare(condensed *r, const double *before, const double *change,
 
 /* Dimensions for the loader to compare with its own. */
 void rti_dimensions(int *dimensions) {
-    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options), (int)sizeof(filter_options)};
+    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options),
+                         (int)sizeof(filter_options), SOFT};
     memcpy(dimensions, built, sizeof built);
 }
 
@@ -168,16 +174,6 @@ static bool condensed_begin(condensed *r, const double *x, const double *x_refer
     return true;
 }
 
-/* Factor the finished Hessian, and put the box around the inputs. */
-static void condensed_finish(condensed *r) {
-    box_qp_factor(&r->box, r->H);
-    for (int k = 0; k < NODES; k++)
-        for (int j = 0; j < NU; j++) {
-            r->lower[k * NU + j] = (r->options.u_lower[j] - r->u[k][j]) / r->options.scale;
-            r->upper[k * NU + j] = (r->options.u_upper[j] - r->u[k][j]) / r->options.scale;
-        }
-}
-
 /* Move the inputs by a part of a node towards the horizon's end, as time does between two ticks. */
 void rti_shift(condensed *r, double part) {
     for (int k = 0; k + 1 < NODES; k++)
@@ -196,78 +192,67 @@ static double move(const condensed *r, int k, int i, const double *z) {
     return sum;
 }
 
-static double thrust(const condensed *r, int k, const double *z) {
+/* Collective thrust of the present inputs, N. */
+static double thrust(const condensed *r, int k) {
     double sum = 0;
-    for (int j = 0; j < NU; j++) {
-        const double u = r->u[k][j], change = r->options.scale * z[X0 + k * NU + j];
-        sum += r->options.thrust_constant[j] * u * (u + 2 * change);
-    }
+    for (int j = 0; j < NU; j++) sum += r->options.thrust_constant[j] * r->u[k][j] * r->u[k][j];
     return sum;
 }
 
-static double value_of(const condensed *r, int k, int i, const double *z) {
-    return i == NX ? thrust(r, k, z) : r->x[k + 1][i] + move(r, k + 1, i, z);
-}
-
-/* Add the rows of every quantity that the step z takes out of its bounds; returns whether there is a new one. */
-static bool add_violated(condensed *r) {
-    bool more = false;
-    for (int i = 0; i <= NX; i++) {
-        if (r->bounded[i] || !is_bounded(r, i)) continue;
-        for (int k = 0; k < NODES && !r->bounded[i]; k++) {
-            double value = value_of(r, k, i, r->z), slack = 1e-3 * (fabs(value) + 1e-3);
-            r->bounded[i] = value < lower_bound(r, i) - slack || value > upper_bound(r, i) + slack;
-        }
-        more |= r->bounded[i];
+/* The rows of all nodes, derivatives by the inputs; by node, so that their ends rise. */
+static void write_rows(condensed *r) {
+    soft_rows *soft = &r->soft;
+    for (int place = 0; place < NODES * r->quantities; place++) {
+        const int k = place / r->quantities, i = r->bounded[place % r->quantities];
+        double *row = soft->rows[place], largest = 0;
+        memset(row, 0, sizeof soft->rows[place]);
+        soft->start[place] = i == NX ? k * NU : 0, soft->end[place] = (k + 1) * NU;
+        if (i == NX)
+            for (int j = 0; j < NU; j++)
+                row[k * NU + j] = 2 * r->options.thrust_constant[j] * r->options.scale * r->u[k][j];
+        else
+            for (int c = 0; c < (k + 1) * NU; c++) row[c] = r->S[k + 1][i][X0 + c];
+        for (int c = 0; c < (k + 1) * NU; c++) largest = fmax(largest, row[c] * row[c]);
+        soft->largest[place] = largest;
     }
-    return more;
 }
 
-/* The row of quantity i at node k: its derivative by the inputs, and how far it may still move. */
-static void write_row(condensed *r, int k, int i, int rows, int place) {
-    double at[X0 + NV] = {0};
-    memcpy(at + START, r->z + START, sizeof(double) * NX); /* the measured state moves the row as well */
-    for (int c = 0; c < NV; c++) r->C[c * rows + place] = 0;
-    if (i == NX)
-        for (int j = 0; j < NU; j++)
-            r->C[(k * NU + j) * rows + place] = 2 * r->options.thrust_constant[j] * r->options.scale * r->u[k][j];
-    else
-        for (int c = 0; c < (k + 1) * NU; c++) r->C[c * rows + place] = r->S[k + 1][i][X0 + c];
-    r->row_lower[place] = fmax(lower_bound(r, i) - value_of(r, k, i, at), -FAR);
-    r->row_upper[place] = fmin(upper_bound(r, i) - value_of(r, k, i, at), FAR);
+/* How far each row may move from where the state's change since the preparation, dx_0 of z, takes it. */
+static void bound_rows(condensed *r) {
+    soft_rows *soft = &r->soft;
+    for (int place = 0; place < NODES * r->quantities; place++) {
+        const int k = place / r->quantities, i = r->bounded[place % r->quantities];
+        double value = i == NX ? thrust(r, k) : r->x[k + 1][i];
+        for (int j = 0; j < NX && i < NX; j++) value += r->S[k + 1][i][START + j] * r->z[START + j];
+        soft->bound[0][place] = fmin(upper_bound(r, i) - value, FAR);
+        soft->bound[1][place] = fmax(lower_bound(r, i) - value, -FAR);
+    }
+    for (int place = NODES * r->quantities; place < soft->count; place++)
+        soft->bound[0][place] = 1, soft->bound[1][place] = -1;
 }
 
-static int solve_with_rows(condensed *r) {
-    int quantities = 0, place = 0, iterations;
-    for (int i = 0; i <= NX; i++) quantities += r->bounded[i];
-    dense_qp *q = r->rows[quantities];
-    for (int i = 0; i <= NX; i++)
-        for (int k = 0; k < NODES && r->bounded[i]; k++) write_row(r, k, i, NODES * quantities, place++);
-    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
-    d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
-    d_dense_qp_set_C(r->C, &q->qp);
-    d_dense_qp_set_lg(r->row_lower, &q->qp), d_dense_qp_set_ug(r->row_upper, &q->qp);
-    int status = dense_qp_solve(q, r->z + X0, &iterations);
-    r->report.rows = place;
-    r->report.iterations += iterations;
-    return status;
+/* The optimum without bounds, v; returns whether it keeps them all. */
+static bool free_optimum(condensed *r, const box_program *program, double *v) {
+    return box_qp_free_optimum(&r->box, program->g, r->lower, r->upper, v) && box_rows_kept(program, v);
 }
 
-/* Solve with the input box alone, and by HPIPM where that fails. Returns the status. */
-static int solve_in_box(condensed *r) {
-    double *v = r->z + X0;
-    const rti_options *options = &r->options;
-    int *iterations = &r->report.iterations, more;
-    if (box_qp_free_optimum(&r->box, r->g_measured, r->lower, r->upper, v)) return 0;
-    int status = box_qp_solve(&r->box, r->H, r->g_measured, r->lower, r->upper, options->tolerance,
-                              options->iterations, v, iterations);
-    if (status == 0) return 0;
-    dense_qp *q = r->rows[0];
-    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
-    d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
-    status = dense_qp_solve(q, v, &more);
-    *iterations += more;
-    return status;
+/* Factor the finished Hessian, put bounds around the inputs and rows, and solve as if the state will be as expected. */
+static void condensed_finish(condensed *r) {
+    const box_program program = {r->H, r->g, r->lower, r->upper, &r->soft};
+    double v[NV];
+    box_qp_factor(&r->box, r->H);
+    for (int k = 0; k < NODES; k++)
+        for (int j = 0; j < NU; j++) {
+            const double lower = (r->options.u_lower[j] - r->u[k][j]) / r->options.scale;
+            const double upper = (r->options.u_upper[j] - r->u[k][j]) / r->options.scale;
+            r->lower[k * NU + j] = lower, r->upper[k * NU + j] = fmax(upper, lower + NO_ROOM);
+        }
+    memset(r->z, 0, sizeof r->z);
+    write_rows(r);
+    bound_rows(r);
+    r->report.preparation_iterations = 0;
+    if (free_optimum(r, &program, v)) box_qp_begin_at(&r->box, &program, v);
+    else r->report.preparation_iterations = box_qp_begin(&r->box, &program, r->options.preparation_iterations);
 }
 
 /* Add the step to the trajectory. */
@@ -281,29 +266,30 @@ static void apply(condensed *r) {
         }
 }
 
-/* x: the state now. Returns 0 when the QP was solved, 1 when its iterations ran out: the last iterate is used. With
- * any other status the trajectory stays the shifted previous solution: HPIPM's 2 (step too short) and 3 (NaN), or -1
- * for an x that is not finite or a preparation that was refused. */
+/* x: the state now. Returns 0 when the QP was solved, 1 when its iterations ran out: its inputs keep their bounds, and
+ * are used. With any other status the trajectory stays the shifted previous solution: 3 where the QP is none that can be
+ * solved, or -1 for an x that is not finite or a preparation that was refused. */
 int rti_feedback(condensed *r, const double *x) {
-    double start = now();
+    double start = now(), *v = r->z + X0;
     rti_report *report = &r->report;
-    report->iterations = report->rows = report->solves = 0;
+    report->iterations = report->rows = 0;
     report->status = -1;
     if (r->prepared && finite_all(x, NX)) {
         for (int i = 0; i < NX; i++) r->z[START + i] = x[i] - r->x_prepared[i];
-        for (int v = 0; v < NV; v++) {
-            r->g_measured[v] = r->g[v];
-            for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[START + i];
+        for (int i = 0; i < NV; i++) {
+            r->g_measured[i] = r->g[i];
+            for (int j = 0; j < NX; j++) r->g_measured[i] += r->G[i][j] * r->z[START + j];
         }
-        report->status = solve_in_box(r);
-        memset(r->bounded, 0, sizeof r->bounded);
-        for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + NV); report->solves++) {
-            if (!add_violated(r)) break;
-            report->status = solve_with_rows(r);
+        bound_rows(r);
+        const box_program program = {r->H, r->g_measured, r->lower, r->upper, &r->soft};
+        report->status = 0;
+        if (!free_optimum(r, &program, v)) {
+            report->status = box_qp_solve(&r->box, &program, r->options.tolerance, r->options.iterations, v,
+                                          &report->iterations);
+            report->rows = r->box.rows_act;
         }
-        bool usable = report->status <= 1 && finite_all(r->z, X0 + NV);
-        if (usable) apply(r);
-        else if (report->status == 0) report->status = 3;
+        if (report->status <= 1 && !finite_all(r->z, X0 + NV)) report->status = 3;
+        if (report->status <= 1) apply(r);
     }
     report->feedback_seconds = now() - start;
     return report->status;

@@ -49,7 +49,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     levenberg_marquardt: added to the Hessian's diagonal.
     tolerance: of the quadratic program's optimality.
     iterations: at most.
-    row_iterations: at most, where bounds on states or thrust act.
+    preparation_iterations: at most, before the state is measured.
     soft_penalty: price of leaving such a bound (body rates, velocity by axis, thrust, box), linear and quadratic.
     keep_in_box: whether the prediction keeps to the vehicle file's position box, if it has one.
     """
@@ -60,7 +60,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     levenberg_marquardt: float = DEFAULTS.levenberg_marquardt
     tolerance: float = DEFAULTS.tolerance
     iterations: int = DEFAULTS.iterations
-    row_iterations: int = DEFAULTS.row_iterations
+    preparation_iterations: int = DEFAULTS.preparation_iterations
     soft_penalty: float = DEFAULTS.soft_penalty
     keep_in_box: bool = DEFAULTS.keep_in_box
 
@@ -82,7 +82,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             levenberg_marquardt=settings.levenberg_marquardt,
             tolerance=settings.tolerance,
             iterations=settings.iterations,
-            row_iterations=settings.row_iterations,
+            preparation_iterations=settings.preparation_iterations,
             soft_penalty=settings.soft_penalty,
             keep_in_box=settings.keep_in_box,
         )
@@ -101,7 +101,7 @@ def options_struct(states: int, inputs: int) -> type[ctypes.Structure]:
     fields += [("x_lower", d * states), ("x_upper", d * states), ("thrust_constant", d * inputs)]
     names = ("thrust_lower", "thrust_upper", "node", "scale", "levenberg_marquardt", "tolerance")
     fields += [(name, d) for name in (*names, "penalty")]
-    fields += [("iterations", ctypes.c_int), ("row_iterations", ctypes.c_int)]
+    fields += [("iterations", ctypes.c_int), ("preparation_iterations", ctypes.c_int)]
     return type("RtiOptions", (ctypes.Structure,), {"_fields_": fields})
 
 
@@ -129,5 +129,5 @@ def fill_options(problem: Problem, model: FlownModel, trim: Trim | None = None) 
     options.node, options.scale = problem.node, INPUT_SCALE * hover_speed
     options.levenberg_marquardt, options.tolerance = problem.levenberg_marquardt, problem.tolerance
     options.penalty = problem.soft_penalty
-    options.iterations, options.row_iterations = problem.iterations, problem.row_iterations
+    options.iterations, options.preparation_iterations = problem.iterations, problem.preparation_iterations
     return options

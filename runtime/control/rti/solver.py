@@ -31,7 +31,9 @@ KERNEL_DIMENSIONS = (
     "vector_bytes",
     "options_bytes",
     "filter_bytes",
+    "soft_rows",
 )
+SOLVED, CUT = 0, 1  # status; a cut quadratic program has an answer whose inputs keep their bounds
 AXES = 6  # linear, world axes, then angular, body axes
 DISTURBANCE = 2 * AXES + 2
 STAYING, FADING, FOLLOWED = AXES, 2 * AXES, 3 * AXES  # where parts of the filter's state begin
@@ -43,7 +45,7 @@ MAX_SEGMENTS = 64  # of inputs between two states
 
 
 class RtiReport(ctypes.Structure):
-    """Times in seconds and outcome of the last preparation and feedback; status 0 is solved."""
+    """Times in seconds and outcome of the last preparation and feedback; status is SOLVED, CUT or a failure."""
 
     _fields_ = (
         ("prepare_seconds", ctypes.c_double),
@@ -54,7 +56,7 @@ class RtiReport(ctypes.Structure):
         ("status", ctypes.c_int),
         ("iterations", ctypes.c_int),
         ("rows", ctypes.c_int),
-        ("solves", ctypes.c_int),
+        ("preparation_iterations", ctypes.c_int),
     )
 
 
@@ -92,6 +94,9 @@ class RtiSolver:
     last_input: (n,) inputs of a network's last layer at the beginning of the last `propagate`, a view.
     output_change: (6, n + 1) what is added to a network's last layer, weights then bias, from the next `assess` on: of
         linear, m/s^2, body or world axes, and angular accelerations, rad/s^2. A view.
+    measured_gradient: (N nu,) the quadratic program's gradient at the last `feedback`, a view.
+    rows: (m, n) its soft rows, padded, node by node, of every bounded state and of thrust, a view.
+    row_bounds: (2, m) their upper and lower bounds, a view.
     history: (columns, 13 + nu) past rigid-body states and commanded rotor speeds of a learned model, oldest first, the
         last one a column before the state; to be written before `propagate` and `prepare`.
 
@@ -124,6 +129,10 @@ class RtiSolver:
         self.filter_followed = self._view("rti_filter_followed", (MAX_FOLLOWED,), ctypes.c_int)
         self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
         self.gradient = self._view("rti_gradient", (nodes * inputs,))
+        self.measured_gradient = self._view("rti_measured_gradient", (nodes * inputs,))
+        capacity, width = self._code.rti_row_capacity(), self._code.rti_row_width()
+        self.rows = self._view("rti_rows", (capacity, width))
+        self.row_bounds = self._view("rti_row_bounds", (2, capacity))
         self.assesses = hasattr(self._code, "rti_assess")
         self.certainty = self._view("rti_certainty", (2,)) if self.assesses else np.array([np.nan, 1.0])
         width = self._code.rti_last_width() if self.assesses else 0
@@ -395,6 +404,7 @@ class RtiSolver:
             "environment": ENVIRONMENT_DEFAULT.size,
             "options_bytes": options_bytes,
             "filter_bytes": ctypes.sizeof(FilterOptions),
+            "soft_rows": self.problem.nodes * (self.model.state_count + 1),
         }
         if wrong := [
             f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size

@@ -77,7 +77,7 @@ def test_a_centre_of_mass_off_the_middle_needs_no_rates_in_hover(arpl_250g: Vehi
     np.testing.assert_allclose(command.rate_body, 0, atol=0.02)
 
 
-@pytest.mark.parametrize(("status", "scale"), [(1, 1.5), (0, np.nan)])
+@pytest.mark.parametrize(("status", "scale"), [(3, 1.5), (0, np.nan)])
 def test_an_answer_that_may_not_be_sent_does_not_count_as_acting(
     arpl_250g: Vehicle, monkeypatch: pytest.MonkeyPatch, status: int, scale: float
 ) -> None:

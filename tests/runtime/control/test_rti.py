@@ -18,7 +18,7 @@ from dynamics.vehicle import EffectUse, Limits, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.rti import solver as rti_solver
 from runtime.control.rti.problem import Problem, fill_options
-from runtime.control.rti.solver import RtiSolver
+from runtime.control.rti.solver import CUT, SOLVED, RtiSolver
 
 VEHICLE = read_vehicle(Path(vehicles.FOLDER) / "arpl_250g.toml")
 UNLIMITED = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(1e3, 1e3, 1e3)))
@@ -122,7 +122,7 @@ def reference_step(solver: RtiSolver, hessian: np.ndarray, gradient: np.ndarray)
 
 @pytest.mark.parametrize("push", [0.0, 4.0], ids=["inside", "saturated"])
 def test_feedback_finds_the_optimum_of_its_quadratic_program(push: float) -> None:
-    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=10, horizon=0.5, tolerance=1e-8))
+    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=10, horizon=0.5, tolerance=1e-8, iterations=50))
     expected = excited(solver)
     solver.prepare(expected)
     measured = expected.copy()
@@ -235,7 +235,7 @@ def test_a_push_towards_the_wall_is_held_within_the_box(fades: bool) -> None:
         positions = []
         for _ in range(300):
             solver.prepare(state)
-            assert solver.feedback(state) == 0
+            assert solver.feedback(state) in (SOLVED, CUT)
             state = plant.propagate(state, solver.inputs[0], 0.01).copy()
             positions.append(state[0])
         reached.append(max(positions))
@@ -289,7 +289,7 @@ def test_a_quadratic_program_that_is_not_finite_changes_nothing_and_leaves_nothi
         np.testing.assert_array_equal(solver.inputs, before)
     for used in (solver, fresh):
         assert used.prepare(state) == 0
-        assert used.feedback(state) == 0
+        assert used.feedback(state) in (SOLVED, CUT)
         assert used.report.iterations > 0
     np.testing.assert_array_equal(solver.inputs, fresh.inputs)
 
@@ -302,8 +302,7 @@ def test_a_prediction_that_is_not_finite_is_refused() -> None:
     assert solver.feedback(state) == -1
 
 
-def test_what_the_box_solver_refuses_hpipm_solves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rotor whose bounds coincide."""
+def test_a_rotor_whose_bounds_coincide_keeps_its_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     speed = VEHICLE.hover_speed
 
     def one_rotor_fixed(problem: Problem, model: Model, trim: Trim) -> Any:

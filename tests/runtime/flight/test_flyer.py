@@ -17,6 +17,7 @@ from dynamics.vehicle_file import read_vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Command, Controller, ControllerOptions
 from runtime.control.rotor_loss import RotorLoss
+from runtime.control.rti.solver import CUT
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
@@ -314,7 +315,7 @@ class Watched:
 
     def __init__(self, real: Controller) -> None:
         self._real = real
-        self.fails, self.solutions = False, 0
+        self.fails, self.cuts, self.solutions = False, False, 0
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._real, name)
@@ -322,6 +323,8 @@ class Watched:
     def feedback(self, state: np.ndarray, time: float) -> Command:
         self.solutions += 1
         command = self._real.feedback(state, time)
+        if self.cuts:
+            return replace(command, status=CUT)
         return replace(command, status=3, rate_body=command.rate_body * np.nan) if self.fails else command
 
 
@@ -407,6 +410,19 @@ def test_a_solver_that_fails_for_a_moment_is_bridged_and_one_that_stays_so_is_le
     flight.run(3.0)
     assert flight.story.after[-1] is State.STANDBY
     assert flight.story.decisions[-1].rate_body is None
+
+
+def test_a_solver_that_is_cut_short_says_so_and_flies_on(vehicle: Vehicle, controller: Controller) -> None:
+    cutting = Watched(controller)
+    flight = prepare(vehicle, cutting)  # type: ignore[arg-type]
+    flight.run(30.0, until=Phase.TRACK)
+    assert Event.SOLVER_CUT not in flight.story.raised
+    cutting.cuts = True
+    flight.run(0.5)
+    assert Event.SOLVER_CUT in flight.story.raised
+    assert flight.flyer.engagement.state is State.ENGAGED
+    assert flight.story.decisions[-1].solver_status == CUT
+    assert max(flight.story.errors) < 0.2
 
 
 def gaps(flight: Flight, seconds: float, findings: dict[str, str], count: int = 3) -> list[Fallback]:
