@@ -2,10 +2,11 @@
 
 The plant is the model. Each flight draws how far its reference leaps every 0.3 s (up to 2 m), and at every tick the
 state differs from the expected one by a draw whose deviation is the flight's: up to 10 mm, 50 mm/s, 0.3 degrees and 0.1
-rad/s. Rows are those of the QP: every bounded state and thrust at every node. A row acts if its multiplier exceeds its slack.
+rad/s. Rows are those of the QP: every bounded state and thrust at every node. A row acts if its multiplier exceeds its
+slack.
 
 The quadratic programs of some flights are solved by peers as well, those that are installed (pip install daqp osqp);
-CasADi brings HPIPM (with a generic BLASFEO) and qpOASES. Peers get the excess of each row as a variable, but for HPIPM,
+CasADi brings HPIPM (with a generic BLASFEO) and qpOASES. Peers get each row's excess as a variable, but for HPIPM,
 which has soft rows. They start from nothing; box_qp.h from its preparation, as in flight.
 
     python -m benchmarks kernel limits --problems 1000000     seven minutes
