@@ -64,8 +64,8 @@ typedef struct {
 
 /* A point of the method. Pairs are of the lower bounds, then of the upper ones; those of the rows the reverse. */
 typedef struct {
-    double v[NV], dual[2][NV];
-    double slack[2][SOFT_ROWS], excess[2][SOFT_ROWS], price[2][SOFT_ROWS], rest[2][SOFT_ROWS];
+    double slack[2][SOFT_ROWS] __attribute__((aligned(64))), excess[2][SOFT_ROWS], price[2][SOFT_ROWS];
+    double rest[2][SOFT_ROWS], v[NV], dual[2][NV];
 } box_point;
 
 /* Behind NV pairs hold ones and steps of zero. */
