@@ -64,7 +64,7 @@ CASES = {
 
 @dataclass
 class Flights:
-    """What flights of one case measured: status, iterations, rows that act, seconds of feedback and step, by tick."""
+    """Ticks of one case's flights: status, iterations, rows that act, seconds of feedback and step, by tick."""
 
     rows: int
     ticks: list[tuple[int, int, int, float, float]]
@@ -214,9 +214,9 @@ def peer_table(programs: Sequence[tuple[BoxProgram, np.ndarray]]) -> str:
         for name in names:
             with undisturbed():
                 took, v = solved_by(name, program, expected, solvers)
-            kept = np.clip(v, program.lower, program.upper)
+            inside = np.clip(v, program.lower, program.upper)
             seconds.setdefault(name, []).append(took)
-            costs.setdefault(name, []).append(program.cost(kept) if np.isfinite(kept).all() else np.inf)
+            costs.setdefault(name, []).append(program.cost(inside) if np.isfinite(inside).all() else np.inf)
     best = np.min(np.array(list(costs.values())), axis=0)
     lines = [
         "| solver | us, median | p99 | worst | no answer | cost above the best by more than 0.1 % |",
