@@ -11,24 +11,20 @@ from math import inf
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.decoding import decode_json
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
-from runtime.flight.attribution import Attribution
 from runtime.flight.controller_pair import ControllerPair
 from runtime.flight.decision import Decision, Ending, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, Engagement, Facts, State
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
 from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
-from runtime.flight.ground_contact import GroundContact
+from runtime.flight.flight_checks import FlightChecks
 from runtime.flight.ground_probe import Ground
-from runtime.flight.health import FlightHealth
 from runtime.flight.measurements import Measurements
 from runtime.flight.mission import Mission
 from runtime.flight.parting import Parting
 from runtime.flight.phases import Handler
-from runtime.flight.rotor_findings import rotor_findings
 from runtime.flight.setpoint_output import SetpointOutput
 from runtime.flight.settling import SHUTDOWN_TIME, Settling
 from runtime.flight.takeoff import HandOver
@@ -38,7 +34,6 @@ from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
-FAILSAFE_TIME = 0.3  # s without a setpoint, after which an autopilot's failsafe may act (COM_OF_LOSS_T is not less)
 STOPPED = "stopped streaming at once"
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
@@ -73,14 +68,14 @@ class Flyer:
         self.output = SetpointOutput(vehicle, thrust_map, settings.thrust)
         self._settings, self._vehicle = settings, vehicle
         self._measured = Measurements()
-        self._attribution, self._health = Attribution(settings.period), FlightHealth(vehicle, settings.health)
-        self._pending: dict[Event, str] = {}
+        self._checks = FlightChecks(
+            vehicle, settings, self.engagement, mission, self.controllers, self.output, self._measured
+        )
         self._chain = FallbackChain(settings.bounds)
         self._hold = LevelHold(vehicle.weight)
         self._parting = Parting(self._hold, settings.period)
         response = settings.thrust.delay + settings.thrust.response_time
         self._takeoff = TakeoffControl(vehicle, thrust_map.thrust_max, response)
-        self._ground = GroundContact(vehicle, settings.period)
         self._settling = Settling(vehicle.weight, min(vehicle.limits.rate[:2]))
         self._ending = Ending()
         self._last_disarm_request = -inf
@@ -114,12 +109,14 @@ class Flyer:
             decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
         measured.take(observation, estimate)
-        self._attribution.observe(observation.time, estimate, fresh=measured.fresh)
+        self._checks.attribution.observe(observation.time, estimate, fresh=measured.fresh)
         if observation.reset:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
         if measured.fresh:
             self._take_estimate(observation)
-        decision.event_changes += self.events.update(self._findings(observation), observation.time)
+        decision.event_changes += self.events.update(
+            self._checks.present(observation, self._takeoff.pose, self.motors), observation.time
+        )
         self._probe_ground(decision.event_changes, observation.time)
         decision.fallback = self._choose_fallback(observation.time)
         was_streaming, was_flying = self.engagement.streaming, self.engagement.flying
@@ -131,34 +128,35 @@ class Flyer:
             self._part(observation, decision, flown=was_flying)
         if not self.engagement.streaming:
             self._send_last(observation, decision)
-            self._health.rest()
+            self._checks.health.rest()
         return decision
 
     def prepare(self, time: float) -> None:
         """Advance the mission and linearise for the next tick, after the setpoint has left. time: s, of this tick."""
         if (observation := self._measured.take_observation()) is not None:
             self.controllers.read_rotors(observation, free=not self.mission.policy.lands)
-        self._remember_sent()
+        self._checks.take_sent()
         state = self._measured.state
         if not self.engagement.flying or state is None or not self.mission.airborne:
-            self._measure_force(time, None)
+            self._checks.measure_force(time, None)
             self.controllers.prepared = False
             return
         self.controllers.store_solution()
         if self._measured.estimate is not None and self._measured.moved_on:
-            self._check_flight(self._measured.estimate, time)
+            self._checks.check_flight(self._measured.estimate, time)
         self.mission.update(state, time)
         reference, window = self._window(state, time)
-        self._measure_force(time, reference)
+        self._checks.measure_force(time, reference)
         self.controllers.follow(state, self._measured.estimate, time)
-        self._pending |= self.controllers.model_events(time)
+        self._checks.pending |= self.controllers.model_events(time)
         self.controllers.prepare(
             state,
             self._measured.estimate,
             window,
             time,
             nominal_required=self.events.fallback is not Fallback.NONE,
-            diverging=Event.MODEL_OSCILLATES in self._pending and Event.MODEL_OSCILLATES not in self.events.active,
+            diverging=Event.MODEL_OSCILLATES in self._checks.pending
+            and Event.MODEL_OSCILLATES not in self.events.active,
         )
 
     def reference_now(self, time: float) -> Floats | None:
@@ -175,59 +173,8 @@ class Flyer:
         assert estimate is not None
         if not self.engagement.flying:
             self._takeoff.pose.add(estimate.state, observation.time, moved=observation.reset)
-        if self._health.is_current(estimate, observation.time):
+        if self._checks.health.is_current(estimate, observation.time):
             self._hold.observe(estimate.attitude)
-
-    def _remember_sent(self) -> None:
-        if (sent := self.output.departed()) is None:
-            return
-        rate_body, collective_thrust, thrust, time = sent
-        self._health.sent(rate_body, collective_thrust, time)
-        realised = self.output.thrust_map.collective_thrust(thrust, self.effectiveness.value)
-        self.controllers.sent(realised, time, self.effectiveness.value)
-
-    def _check_flight(self, estimate: StateEstimate, time: float) -> None:
-        """Check the flight by a fresh estimate, and update the effectiveness."""
-        measured, adaptation = self._measured, self.controllers.adaptation
-        self._pending |= self._health.flight(estimate.state, time, learned=self.controllers.main.is_learned)
-        force, landing = measured.vertical_force, self.mission.policy.lands
-        if adaptation is not None:
-            force -= adaptation.specific_drag(estimate.state)
-        near = landing and self._ground.may_be_near(self.mission, estimate.state, reported_landed=False)
-        self._pending |= self.output.measure(estimate, measured.force, force, near_ground=near)
-        if adaptation is not None and not landing:
-            adaptation.read_voltage(estimate.time, measured.voltage, self.effectiveness.value)
-
-    def _measure_force(self, time: float, reference: Floats | None) -> None:
-        """Update the external force, and the events that it shows. reference: state (13,) at this time, or None."""
-        estimate = self._measured.estimate
-        if not self.engagement.flying or estimate is None or not self.mission.policy.leaves_ground:
-            self._ground.clear()
-            return
-        thrust = self.effectiveness.thrust(time) / self._vehicle.body.mass
-        missing = thrust * (self.effectiveness.initial / self.effectiveness.value - 1)
-        self._pending |= self._ground.measure(
-            self.mission, estimate, reference, self._measured.force, thrust, time, missing_thrust=missing
-        )
-
-    def _findings(self, observation: ObservationRecord) -> dict[Event, str]:
-        present, self._pending = self._pending, {}
-        if observation.findings:
-            present |= {Event(name): text for name, text in decode_json(observation.findings).items()}
-        present |= self._health.estimate_age(self._measured.estimate, observation.time)
-        present |= self._measured.frozen()
-        for adaptation in self.controllers.adaptations:
-            present |= rotor_findings(adaptation, self.motors)
-        if not self.engagement.flying and not self.engagement.initially_armed:
-            present |= self._takeoff.pose.findings()
-        if self.engagement.flying and not self.mission.policy.may_disarm:
-            if not observation.armed:
-                present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
-            elif not observation.offboard:
-                present[Event.MODE_CHANGED] = f"to {observation.mode}"
-                if (stood_still := self._attribution.standstill) > FAILSAFE_TIME:
-                    present[Event.MODE_CHANGED] += f", after this computer stood still for {stood_still:.1f} s"
-        return self._attribution.attribute(present) if self.engagement.flying else present
 
     def _choose_fallback(self, time: float) -> Fallback:
         if not self.engagement.flying:
@@ -235,7 +182,7 @@ class Flyer:
         if not self.mission.policy.falls_back:
             return Fallback.NONE
         active, estimate = self.events.active, self._measured.estimate
-        if Event.ESTIMATE_STALE in active and estimate and self._health.is_current(estimate, time):
+        if Event.ESTIMATE_STALE in active and estimate and self._checks.health.is_current(estimate, time):
             active = {event: detail for event, detail in active.items() if event is not Event.ESTIMATE_STALE}
         chosen = self._chain.choose(
             active,
@@ -343,7 +290,7 @@ class Flyer:
             self._land(self._chain.reason, state, time)
             return
         decision.rate_body, decision.collective_thrust = self._takeoff.command(state, self._measured.force, time)
-        self._pending |= self._takeoff.findings(state)
+        self._checks.pending |= self._takeoff.findings(state)
         ramp = self._takeoff.ramp
         if not ramp.lifted:
             return
@@ -381,10 +328,15 @@ class Flyer:
 
     def _settle(self, observation: ObservationRecord, decision: Decision) -> None:
         """Level, with thrust going away, until the ground is known to carry the vehicle or not to be there."""
-        time, ground, state, estimate = observation.time, self._ground, self._measured.state, self._measured.estimate
+        time, ground, state, estimate = (
+            observation.time,
+            self._checks.ground,
+            self._measured.state,
+            self._measured.estimate,
+        )
         assert state is not None
         usable = not any(event in self.events.active for event in _UNUSABLE)
-        current = usable and estimate is not None and self._health.is_current(estimate, time)
+        current = usable and estimate is not None and self._checks.health.is_current(estimate, time)
         low = ground.may_be_near(self.mission, state, reported_landed=observation.landed)
         decision.rate_body, decision.collective_thrust, verdict = self._settling.command(
             state, ground.meter, time, current=current, low=low
@@ -392,10 +344,10 @@ class Flyer:
         match verdict:
             case Ground.CARRIES:
                 if cause := self._settling.cause or ground.blow:
-                    self._ending.crashed = self._pending[Event.CRASHED] = cause
+                    self._ending.crashed = self._checks.pending[Event.CRASHED] = cause
                 self.mission.shut_down(state, time)
             case Ground.ABSENT:
-                self._pending[Event.CONTACT_LOST] = ""
+                self._checks.pending[Event.CONTACT_LOST] = ""
                 self.output.hand_over = HandOver(time, decision.collective_thrust, CATCH_TIME)
                 self.mission.catch(state, time)
                 self.controllers.start(state, time)
@@ -431,9 +383,11 @@ class Flyer:
         decision.solver_status, decision.feedback_seconds = command.status, command.seconds
         if not command.fault:
             if command.cut:
-                self._pending[Event.SOLVER_CUT] = f"{self.controllers.main.options.problem.iterations} iterations"
+                self._checks.pending[Event.SOLVER_CUT] = (
+                    f"{self.controllers.main.options.problem.iterations} iterations"
+                )
             return command
-        self._pending[Event.SOLVER_FAILED] = command.fault
+        self._checks.pending[Event.SOLVER_FAILED] = command.fault
         decision.fallback = self._chain.replace_solution(Event.SOLVER_FAILED, command.fault)
         return None
 
@@ -443,10 +397,10 @@ class Flyer:
         if state is None:
             return
         policy, time, reported = self.mission.policy, observation.time, observation.landed
-        if self._ground.has_landed(policy, state, collective_thrust, time, reported_landed=reported):
+        if self._checks.ground.has_landed(policy, state, collective_thrust, time, reported_landed=reported):
             self._take_thrust_away(state, time)
         else:
-            self._pending |= self._ground.missing_ground(time)
+            self._checks.pending |= self._checks.ground.missing_ground(time)
 
     # --- the end of the stream
 
