@@ -25,12 +25,14 @@ CHANNELS: Mapping[str, str] = {
     "torque": "N m, body FLU about the centre of mass",
     "air": "m/s, its velocity, world ENU",
     "rotor_speed": "rad/s, of each rotor, from 0",
+    "speed_reading": "rad/s, error of each rotor's reading, from 0",
     "gyro": "rad/s, error of the reading",
     "accelerometer": "m/s^2, error of the reading",
     "attitude": "rad, error as a rotation vector in body axes",
     "velocity": "m/s, error in body axes",
     "position": "m, error in body axes",
 }
+OF_ROTORS = ("rotor_speed", "speed_reading")  # channels with one output a rotor, the others have one an axis
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.noise.component import CHANNELS, Component, FlightConditions, Hyperparameter, Values
+from diagnosis.noise.component import AXES, CHANNELS, OF_ROTORS, Component, FlightConditions, Hyperparameter, Values
 from diagnosis.noise.linear_model import LinearModel, compose, renamed
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -50,13 +50,25 @@ class Composition:
 
         Raises ValueError for an output that is none of the channels.
         """
-        models = [renamed(c.model(_values_of(c, values), conditions), c.name) for c in self.components]
-        model = compose(models)
-        channels = {*CHANNELS, *outputs_of("rotor_speed", range(conditions.vehicle.rotors.count))}
-        channels |= {output for name in CHANNELS if name != "rotor_speed" for output in outputs_of(name, "xyz")}
+        model = compose(self.parts(values, conditions))
+        rotors = range(conditions.vehicle.rotors.count)
+        places = {name: rotors if name in OF_ROTORS else AXES for name in CHANNELS}
+        channels = {*CHANNELS, *(output for name, each in places.items() for output in outputs_of(name, each))}
         if unknown := [output for output in model.outputs if output not in channels]:
             raise ValueError(f"outputs {', '.join(unknown)} are no channels; see diagnosis.noise.component.CHANNELS.")
         return model
+
+    def parts(
+        self, values: Values, conditions: FlightConditions, at_others: Sequence[LinearModel] = (), moved: str = ""
+    ) -> list[LinearModel]:
+        """The state space of each component. at_others: those at values of which one has
+        moved since: they are taken where that is none of theirs."""
+        if not at_others:
+            return [renamed(c.model(_values_of(c, values), conditions), c.name) for c in self.components]
+        return [
+            renamed(c.model(_values_of(c, values), conditions), c.name) if _depends(c, moved) else part
+            for c, part in zip(self.components, at_others, strict=True)
+        ]
 
     def spectrum(self, values: Values, conditions: FlightConditions, frequency: Floats) -> dict[str, Floats]:
         """Two-sided power density of each output in hover, unit^2/Hz: the sum of the components'."""
@@ -70,6 +82,11 @@ class Composition:
 def outputs_of(channel: str, places: Sequence[object] | range) -> list[str]:
     """Names of a channel's outputs: `force_x`, `rotor_speed_0`."""
     return [f"{channel}_{place}" for place in places]
+
+
+def _depends(component: Component, moved: str) -> bool:
+    """Whether a component's state space can depend on a value: on its own, and on those of what it needs."""
+    return moved.partition(".")[0] in (component.name, *component.needs)
 
 
 def _values_of(component: Component, values: Values) -> dict[str, float]:

@@ -28,6 +28,7 @@ from diagnosis.thresholds.judgement import (
     VehicleThresholds,
     VerdictThresholds,
 )
+from diagnosis.thresholds.likelihood import LikelihoodThresholds
 from diagnosis.thresholds.readings import (
     CommandCurveThresholds,
     DataChecks,
@@ -74,6 +75,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     relevance: RelevanceThresholds = RelevanceThresholds()
     consistency: ConsistencyThresholds = ConsistencyThresholds()
     late_signals: LateSignalsThresholds = LateSignalsThresholds()
+    likelihood: LikelihoodThresholds = LikelihoodThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()
@@ -98,6 +100,7 @@ __all__ = [
     "HoverTrimThresholds",
     "InFlightThresholds",
     "LateSignalsThresholds",
+    "LikelihoodThresholds",
     "NoiseThresholds",
     "OutputErrorThresholds",
     "PoseThresholds",

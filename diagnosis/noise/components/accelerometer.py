@@ -11,7 +11,7 @@ COMPONENT = Component(
     summary="White noise and bias random walk of the specific force's reading",
     source="as of the gyro, IEEE Std 952-1997, annex C",
     parameters=(
-        Hyperparameter("density", "m/s^1.5", "velocity random walk", 1e-5, 10.0, fixed_prior(1e-2, 1.5)),
+        *gyro.densities("m/s^1.5", "velocity random walk", 1e-5, 10.0, 1e-2),
         Hyperparameter("walk", "m/s^2.5", "acceleration random walk, of the bias", 1e-7, 1.0, fixed_prior(1e-3, 1.5)),
     ),
     model=partial(gyro.model, sensor="accelerometer", bias=SENSOR_PRIOR),

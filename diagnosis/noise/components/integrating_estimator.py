@@ -43,7 +43,9 @@ def model(p: Values, c: FlightConditions) -> LinearModel:
 
 def spectrum(p: Values, c: FlightConditions, frequency: Floats) -> Mapping[str, Floats]:
     """(aiding + the sensor's density^2 + density of what it integrates) / (omega^2 + 1 / time^2)."""
-    sensors = {"attitude": p["gyro.density"], "velocity": p["accelerometer.density"], "position": 0.0}
+    sensors = {kind: np.zeros((3, 1)) for kind in KINDS}
+    for kind, sensor in zip(KINDS, SENSORS, strict=False):
+        sensors[kind] = np.array([[p[f"{sensor}.density_{axis}"]] for axis in AXES])
     integrated, result = np.zeros((3, 1)), dict[str, Floats]()
     for kind, turn in zip(KINDS, (cross(c.specific_force) ** 2, np.eye(3), np.eye(3)), strict=True):
         rate = 1 / p[f"{kind}_time"]

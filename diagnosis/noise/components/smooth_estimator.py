@@ -52,7 +52,7 @@ COMPONENT = Component(
         *hyperparameters("velocity", "m/s", 0.05, 1.0),
         *hyperparameters("position", "m", 0.05, 1.0),
         Hyperparameter(
-            "smoothing", "s", "time constant of the filter behind the error", 1e-3, 1.0, fixed_prior(0.1, 1.0)
+            "smoothing", "s", "time constant of the filter behind the error", 1e-3, 10.0, fixed_prior(0.3, 1.5)
         ),
     ),
     model=model,

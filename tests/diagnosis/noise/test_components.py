@@ -21,7 +21,7 @@ from vehicles import FOLDER
 
 VEHICLES = [read_vehicle(path) for path in sorted(FOLDER.glob("*.toml"))]
 FREQUENCIES = np.geomspace(1e-3, 300.0, 40)
-WALKS = {"gyro", "accelerometer"}  # without a stationary variance
+WALKS = {"gyro", "accelerometer", "rotor_motion"}  # without a stationary variance
 
 
 def conditions(vehicle: Vehicle, random: np.random.Generator) -> FlightConditions:

@@ -1,0 +1,221 @@
+"""What may be missing as columns: inputs of the filter by a unit of each parameter, of candidates and of nuisances.
+
+Nuisances are errors that every log has, with a prior on their size: biases and clocks of each flight's sensors, and a
+share of the model's own motion that it never meets. What lies between a motor command and thrust is free, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.data.segment import Segment
+from diagnosis.likelihood import priors
+from diagnosis.likelihood.flight_rows import FlightRows
+from diagnosis.likelihood.gain import KINDS
+from diagnosis.likelihood.rigid_body import OUTPUTS, SPEEDS, Along, FlightModel
+from diagnosis.models.command_effects import COMMAND_EFFECTS
+from diagnosis.selection.candidates import Candidate, make_candidates
+from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One parameter of a candidate.
+
+    candidate: place among the candidates. name: of the parameter, "" for the size of a fixed shape.
+    """
+
+    candidate: int
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisance:
+    """An error of every log. kind, place: which. std: before any flight. lasts: in which it is one and the same."""
+
+    kind: str
+    place: int
+    std: float
+    lasts: Literal["flight", "block"]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Effects that may be missing, each at points about which it is linear.
+
+    columns: of all, one after another.
+    """
+
+    all: tuple[Candidate, ...]
+    columns: tuple[Column, ...]
+    nuisances: tuple[Nuisance, ...]
+
+    def places(self, number: int) -> list[int]:
+        """Columns of a candidate."""
+        return [i for i, column in enumerate(self.columns) if column.candidate == number]
+
+    @property
+    def of_commands(self) -> list[int]:
+        """Columns of what lies between a motor command and thrust: the last ones, free in every set."""
+        return [i for i, c in enumerate(self.columns) if self.all[c.candidate].effect.name in COMMAND_EFFECTS]
+
+    @property
+    def width(self) -> int:
+        """Number of columns, nuisances included."""
+        return len(self.columns) + len(self.nuisances)
+
+
+def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]) -> Candidates:
+    """The effects that these flights could show: at each grid point where they are not linear, once where they are."""
+    every, seen = [], set()
+    possible = make_candidates(vehicle, catalogue, segments)
+    for candidate in sorted(possible, key=lambda c: c.effect.name in COMMAND_EFFECTS):
+        effect = candidate.effect
+        if effect.hidden and effect.rotor_speed is None:
+            continue
+        if candidate.fixed_shape and effect.rotor_speed is None:  # smooth at its present values, all free
+            if candidate.key in seen:
+                continue
+            at = candidate.present or {p.name: p.neutral for p in effect.parameters}
+            candidate = Candidate(effect, candidate.rotor, at, tuple(at), (), candidate.present)
+        if effect.rotor_speed is not None and candidate.present is not None:
+            if candidate.key in seen:
+                continue
+            candidate = Candidate(
+                effect, candidate.rotor, candidate.present, effect.time_constants, (), candidate.present
+            )
+        seen.add(candidate.key)
+        every.append(candidate)
+    columns = tuple(Column(i, name) for i, c in enumerate(every) for name in (c.free or ("",)))
+    estimated = segments[0].pose_source == "estimator"
+    level, clock = (priors.LEVEL_OF_ESTIMATOR, priors.FILTER_DELAY) if estimated else (priors.LEVEL, priors.CLOCK)
+    force = priors.ACCELEROMETER_OF_AUTOPILOT if estimated else priors.ACCELEROMETER
+    own = [Nuisance("gyro", i, priors.GYRO, "flight") for i in range(3)]
+    own += [Nuisance("accelerometer", i, force, "flight") for i in range(3)]
+    own += [Nuisance("level", i, level, "flight") for i in range(3)]
+    own += [Nuisance("clock", 0, clock, "flight"), Nuisance("attitude_clock", 0, priors.ATTITUDE_CLOCK, "flight")]
+    if segments[0].rotor_source == "measured":
+        own.append(Nuisance("rotor_clock", 0, priors.CLOCK, "flight"))
+    blocks = [Nuisance(kind, i, priors.DISCREPANCY, "block") for kind in ("force", "turning") for i in range(3)]
+    return Candidates(tuple(every), columns, (*own, *blocks))
+
+
+def inputs(
+    rows: FlightRows,
+    along: Along,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    uses: Sequence[EffectUse],
+    what: Candidates,
+    fitted: Mapping[int, Mapping[str, float]],
+    only: Sequence[int] | None = None,
+) -> tuple[Floats, Floats]:
+    """(N, 9, k) of the error state's end and (N, m, k) of the readings, by a unit of each parameter.
+
+    uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
+    only: candidates of which columns are wanted; those of others are zero.
+    """
+    N, K = len(rows), what.width
+    count = along.speed.shape[1]
+    acting, readings = np.zeros((K, N, 6)), np.zeros((K, N, 12 + count))  # of KINDS
+    wanted = list(range(len(what.all)) if only is None else only)
+    by_rotor = along.by_rotor
+
+    def of_rotors(column: int, speeds: Floats) -> None:
+        moved = np.einsum("tar,tr->ta", by_rotor, speeds)
+        acting[column] += moved
+        readings[column, :, 9:12] += moved[:, :3]
+
+    for layer in _layers(what, wanted, vehicle, catalogue):
+        merged, free, columns = {f"{u.name}[{u.rotor}]": u for u in uses}, [], []
+        for i in layer:
+            candidate = what.all[i]
+            values = {**candidate.at, **fitted.get(i, {})}
+            merged[f"{candidate.effect.name}[{candidate.rotor}]"] = EffectUse(
+                candidate.effect.name, values, candidate.rotor
+            )
+            free += [f"{candidate.key}.{name}" for name in candidate.free]
+            columns += what.places(i)
+        model = FlightModel(vehicle, list(merged.values()), catalogue)
+        slopes = model.parameter_slopes(rows, along, free).transpose(1, 0, 2)
+        acting[columns] = slopes[:, :, :6]
+        for place, kind in enumerate(KINDS[:4]):
+            readings[columns, :, 3 * place : 3 * place + 3] = slopes[:, :, OUTPUTS[kind]]
+        readings[columns, :, 12:] = (
+            slopes[:, :, SPEEDS : SPEEDS + count] - along.spin_up * slopes[:, :, SPEEDS + count, None]
+        )
+    for i in wanted:
+        candidate = what.all[i]
+        if candidate.effect.rotor_speed is None:
+            continue
+        column = what.places(i)[0]
+        if candidate.free or i in fitted:
+            of_rotors(column, along.slope_in_lag if along.slope_in_lag is not None else np.zeros_like(along.speed))
+        else:
+            lagged, _ = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
+            of_rotors(column, lagged - rows.rotor_speed(None)[0])
+    for column, nuisance in enumerate(what.nuisances, len(what.columns)):
+        kind, place = nuisance.kind, nuisance.place
+        if kind == "gyro":
+            readings[column, :, 6 + place] = 1
+        elif kind == "accelerometer":
+            readings[column, :, 9 + place] = 1
+        elif kind == "level":
+            readings[column, :, 3 + place] = 1
+        elif kind == "attitude_clock":
+            readings[column, :, 3:6] = -along.rate
+        elif kind == "clock":
+            readings[column, :, 0:3] = -(along.force - GRAVITY * along.rotation[:, 2, :])
+            readings[column, :, 3:6] = -along.rate
+        elif kind == "rotor_clock":
+            readings[column, :, 12:] = -along.spin_up
+        elif kind in ("force", "turning"):
+            motion = along.force if kind == "force" else along.turning
+            acting[column, :, (3 if kind == "turning" else 0) + place] = motion[:, place] - motion[:, place].mean()
+            readings[column, :, 9 + place] = acting[column, :, place] if kind == "force" else 0.0
+    return _over_rows(rows, acting, readings)
+
+
+def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:
+    """Inputs of a row's end and of its mean readings: force and angular acceleration are constant over a row."""
+    dt, K, N = rows.period, len(acting), len(rows)
+    force, turning = acting[:, :, :3].transpose(1, 2, 0), acting[:, :, 3:].transpose(1, 2, 0)
+    B = np.zeros((N, 9 + (2 * (readings.shape[2] - 12) if "rotor_speed" in rows.readings else 0), K))
+    B[:, 0:3], B[:, 3:6], B[:, 6:9] = dt * force, dt**2 / 2 * turning, dt * turning
+    D = readings.transpose(1, 2, 0).copy()
+    D[:, 0:3] += dt / 2 * force
+    D[:, 3:6] += dt**2 / 6 * turning
+    D[:, 6:9] += dt / 2 * turning
+    used = [3 * i + axis for i, kind in enumerate(KINDS[:4]) if kind in rows.readings for axis in range(3)]
+    used += [*range(12, D.shape[1])] if "rotor_speed" in rows.readings else []
+    return B, np.ascontiguousarray(D[:, used]) if len(used) < D.shape[1] else np.ascontiguousarray(D)
+
+
+def _layers(
+    what: Candidates, wanted: Sequence[int], vehicle: Vehicle, catalogue: Mapping[str, Effect]
+) -> list[list[int]]:
+    """Candidates in groups that one model can hold: each effect and rotor once, the wind's own drag beside no other."""
+    layers: list[list[int]] = []
+    dragless = not any(catalogue[use.name].resists_air for use in vehicle.effects)
+    for i in wanted:
+        effect, key = what.all[i].effect, what.all[i].key
+        if effect.rotor_speed is not None:
+            continue
+        for layer in layers:
+            if any(what.all[j].key == key for j in layer):
+                continue
+            own_drag = [what.all[j].effect.wind is not None for j in layer]
+            resists = [what.all[j].effect.resists_air for j in layer]
+            if dragless and ((effect.wind is not None and any(resists)) or (effect.resists_air and any(own_drag))):
+                continue
+            layer.append(i)
+            break
+        else:
+            layers.append([i])
+    return layers

@@ -1,0 +1,276 @@
+"""The score of a set of effects: its marginal likelihood (MacKay, Bayesian interpolation, Neural Computation 4, 1992).
+
+log p(set | data) = log p(none | data) + g' (M + P)^-1 g / 2 - log det(1 + M / P) / 2 + log p(set), with the
+information M and score g of its columns and the precision P of the catalogue's priors; nuisances are marginalised.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.likelihood.columns import Candidates
+from diagnosis.likelihood.gain import NoiseSlopes
+from diagnosis.likelihood.problem import Information, Problem
+from diagnosis.models.command_effects import prior_deviation
+from diagnosis.thresholds import DEFAULT
+from dynamics.arrays import Floats
+from dynamics.vehicle import Vehicle
+
+IMPOSSIBLE = -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Information of all candidates' columns with the nuisances marginalised, counted from the vehicle file.
+
+    M: (k, k), g: (k,). blocks: (b, k, k) and (b, k) of each block of time. now: (k,) values about which it is linear.
+    """
+
+    M: Floats
+    g: Floats
+    M_blocks: Floats
+    g_blocks: Floats
+    now: Floats
+    shared: tuple[Floats, Floats, Floats]
+
+    def of_commands(self, places: Sequence[int], values: Floats, count: int) -> Floats:
+        """(count,) changes of what lies between command and thrust beside a set's values."""
+        inverse, across, score = self.shared
+        change = -self.now.copy()
+        change[list(places)] += values
+        return np.asarray((inverse @ (score - across @ change))[:count])
+
+
+def sums(problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool) -> Sums:
+    """Marginalise discrepancies of each block, then sensors of each flight, then what all flights share, with the
+    noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters.
+
+    settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
+    """
+    what = problem.what
+    K, present_values = len(what.columns), present(problem)
+    kinds = {lasts: [K + i for i, n in enumerate(what.nuisances) if n.lasts == lasts] for lasts in ("block", "flight")}
+    kinds["always"] = list(what.of_commands)
+    precision = {place: 1 / n.std**2 for place, n in enumerate(what.nuisances, K)}
+    precision |= {what.width + i: value for i, value in enumerate(noise.precision)}
+    for place in what.of_commands:
+        effect = what.all[what.columns[place].candidate].effect
+        precision[place] = 1 / prior_deviation(effect, DEFAULT.command_curve) ** 2
+    pull = {what.width + i: -value for i, value in enumerate(noise.precision * noise.away)}
+    if settled:
+        kinds["always"] += pull
+    pull |= {place: -precision[place] * present_values[place] for place in what.of_commands}
+    columns = [i for i in range(what.width + len(noise.precision) * settled) if i not in kinds["block"]]
+    M_all, g_all, groups = [], [], []
+    for part in information:
+        M, g = _marginal(part.M, part.g, kinds["block"], columns, precision)
+        M_all.append(M)
+        g_all.append(g)
+        groups += [part.group] * len(M)
+    M_blocks, g_blocks, group = np.concatenate(M_all), np.concatenate(g_all), np.array(groups)
+    for lasts, ids in (("flight", group), ("always", np.zeros(len(group), int))):
+        places = {c: i for i, c in enumerate(columns)}
+        own = [places[c] for c in kinds[lasts]]
+        rest = [i for i in range(len(columns)) if i not in own]
+        P = np.diag([precision[c] for c in kinds[lasts]])
+        M_next, g_next = np.empty((len(group), len(rest), len(rest))), np.empty((len(group), len(rest)))
+        for one in np.unique(ids):
+            here = ids == one
+            total, score = M_blocks[here].sum(0), g_blocks[here].sum(0)
+            inverse = np.linalg.inv(total[np.ix_(own, own)] + P) if own else np.zeros((0, 0))
+            # each block's share: of a quadratic form that is linear in the block once the nuisances' fit is fixed
+            T = np.zeros((len(rest), len(columns)))
+            T[np.arange(len(rest)), rest] = 1.0
+            T[:, own] = -(inverse @ total[np.ix_(own, rest)]).T
+            prior = np.array([pull.get(c, 0.0) for c in kinds[lasts]])
+            offset = -total[np.ix_(rest, own)] @ inverse @ prior
+            M_next[here] = np.einsum("ij,bjk->bik", T, M_blocks[here])[:, :, rest]
+            g_next[here] = g_blocks[here] @ T.T + offset / here.sum()
+            if lasts == "always":
+                shared = inverse, total[np.ix_(own, rest)], score[own] + prior
+        M_blocks, g_blocks, columns = M_next, g_next, [columns[i] for i in rest]
+    now = present_values[: len(columns)]
+    M = M_blocks.sum(0)
+    M = (M + M.T) / 2
+    return Sums(M, g_blocks.sum(0) + M @ now, M_blocks, g_blocks + M_blocks @ now, now, shared)
+
+
+def _marginal(
+    M: Floats, g: Floats, out: Sequence[int], rest: Sequence[int], precision: dict[int, float]
+) -> tuple[Floats, Floats]:
+    """(b, r, r) and (b, r) with some columns marginalised in each block."""
+    if not out:
+        return M, g
+    P = np.diag([precision[i] for i in out])
+    inner = M[:, out][:, :, out] + P
+    across = M[:, out][:, :, rest]
+    solved = np.linalg.solve(inner, np.concatenate([across, g[:, out][:, :, None]], axis=2))
+    M_rest = M[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ solved[:, :, :-1]
+    g_rest = g[:, rest] - np.einsum("bij,bi->bj", across, solved[:, :, -1])
+    return M_rest, g_rest
+
+
+def present(problem: Problem) -> Floats:
+    """(k,) coefficients of the columns in the model about which all is linear, counted from each candidate's own."""
+    now = np.zeros(len(problem.what.columns))
+    for number, values in problem.fitted.items():
+        candidate = problem.what.all[number]
+        for place, name in zip(problem.what.places(number), candidate.free or ("",), strict=True):
+            if name:
+                now[place] = values[name] - candidate.at[name]
+            else:  # a fixed shape that is fitted counts from where it vanishes, in its own parameter
+                now[place] = values[candidate.effect.time_constants[0]]
+    return now
+
+
+def prior_stds(what: Candidates, vehicle: Vehicle, fitted: Sequence[int]) -> Floats:
+    """(k,) of the columns about the vehicle file's values."""
+    made = []
+    for column in what.columns:
+        candidate = what.all[column.candidate]
+        effect = candidate.effect
+        if not column.name:
+            parameter = next(p for p in effect.parameters if p.name == effect.time_constants[0])
+            prior = parameter.prior(vehicle)
+            size = np.hypot(prior.std, prior.mean - parameter.neutral)
+            made.append(size if column.candidate in fitted else 1.0)
+            continue
+        parameter = next(p for p in effect.parameters if p.name == column.name)
+        prior = parameter.prior(vehicle)
+        away = prior.mean - parameter.neutral if candidate.present is None else candidate.at[column.name]
+        if candidate.present is not None and parameter.neutral == 1.0:
+            away = prior.mean - 1.0
+        made.append(float(np.hypot(prior.std, away)))
+    return np.array(made)
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A set of candidates. evidence: log of its odds against the vehicle file. values: (c,) of its columns.
+    covariance: (c, c)."""
+
+    members: tuple[int, ...]
+    evidence: float
+    values: Floats
+    covariance: Floats
+
+
+class Search:
+    """Sets of candidates by their evidence."""
+
+    def __init__(self, problem: Problem, total: Sums) -> None:
+        self.problem, self.what, self.total = problem, problem.what, total
+        self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
+        self.columns = [self.what.places(i) for i in range(len(self.what.all))]
+        names = [c.effect.name for c in self.what.all]  # those of commands are none of the search's
+        effects = len(set(names))
+        self.log_prior = [-np.log(effects) - np.log(names.count(name)) for name in names]
+        size = np.diag(total.M)
+        lags = [i for i in problem.fitted if self.what.all[i].effect.rotor_speed is not None]
+        self.able = [
+            i
+            for i, places in enumerate(self.columns)
+            if places[-1] < len(size)
+            and np.all(size[places] > 0)
+            and np.all(np.isfinite(size[places]))
+            and not (lags and self.what.all[i].effect.rotor_speed is not None and i not in lags)
+        ]
+        self._scored: dict[tuple[int, ...], Scored] = {}
+
+    def score(self, members: Sequence[int]) -> Scored:
+        """A set's score; impossible where two of its members are one effect, or a value is out of its bounds."""
+        key = tuple(sorted(members))
+        if key not in self._scored:
+            self._scored[key] = self._score(key)
+        return self._scored[key]
+
+    def _score(self, members: tuple[int, ...]) -> Scored:
+        if not members:
+            return Scored((), 0.0, np.zeros(0), np.zeros((0, 0)))
+        c = [place for i in members for place in self.columns[i]]
+        nothing = Scored(members, IMPOSSIBLE, np.zeros(len(c)), np.zeros((len(c), len(c))))
+        if len({self.what.all[i].identity for i in members}) < len(members):
+            return nothing
+        std = self.std[c]
+        M = self.total.M[np.ix_(c, c)] * std * std[:, None]
+        g = self.total.g[c] * std
+        try:
+            cholesky = np.linalg.cholesky(M + np.eye(len(c)))
+        except np.linalg.LinAlgError:
+            return nothing
+        half = np.linalg.solve(cholesky, g)
+        inverse = np.linalg.inv(cholesky)
+        values = inverse.T @ half * std
+        evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
+        if not self._possible(members, values):
+            return nothing
+        return Scored(members, float(evidence), values, inverse.T @ inverse * std * std[:, None])
+
+    def _possible(self, members: tuple[int, ...], values: Floats) -> bool:
+        first = 0
+        for i in members:
+            candidate = self.what.all[i]
+            if not candidate.free:
+                size = values[first]
+                bounds = (1e-4, 0.5) if i in self.problem.fitted else (0.3, 3.0)
+                if not bounds[0] < size < bounds[1]:
+                    return False
+                first += 1
+                continue
+            for name in candidate.free:
+                parameter = next(p for p in candidate.effect.parameters if p.name == name)
+                value = candidate.at[name] + values[first]
+                if not parameter.lower - 1e-12 <= value <= parameter.upper + 1e-12:
+                    return False
+                first += 1
+        return True
+
+    def best(self, begin: Sequence[int] = ()) -> Scored:
+        """Climb from a set by one more, one less, one for another, and one for two."""
+        least = self.problem.thresholds.min_improvement
+        here = self.score([i for i in begin if i in self.able])
+        if here.evidence == IMPOSSIBLE:
+            here = self.score(())
+        while True:
+            near = max(self._near(here), key=lambda s: s.evidence, default=here)
+            if near.evidence <= here.evidence + least:
+                near = max(self._merged(here), key=lambda s: s.evidence, default=here)
+                if near.evidence <= here.evidence + least:
+                    return here
+            here = near
+
+    def _near(self, here: Scored) -> list[Scored]:
+        members = here.members
+        sets = [members[:j] + members[j + 1 :] for j in range(len(members))]
+        rest = [i for i in self.able if i not in members]
+        if len(members) < self.problem.thresholds.max_effects:
+            sets += [(*members, i) for i in rest]
+        sets += [(*members[:j], i, *members[j + 1 :]) for j in range(len(members)) for i in rest]
+        return [self.score(one) for one in sets]
+
+    def _merged(self, here: Scored) -> list[Scored]:
+        members, rest = here.members, [i for i in self.able if i not in here.members]
+        return [
+            self.score([*(k for k in members if k not in pair), i])
+            for pair in itertools.combinations(members, 2)
+            for i in rest
+        ]
+
+    def named_values(self, scored: Scored) -> dict[int, dict[str, float]]:
+        """Values of each member's parameters."""
+        made, first = {}, 0
+        for i in scored.members:
+            candidate = self.what.all[i]
+            if candidate.free:
+                own = {name: candidate.at[name] + scored.values[first + k] for k, name in enumerate(candidate.free)}
+                first += len(candidate.free)
+            else:
+                name, size = candidate.effect.time_constants[0], scored.values[first]
+                own = {name: float(size if i in self.problem.fitted else candidate.at[name] * np.clip(size, 0.5, 1.5))}
+                first += 1
+            made[i] = {name: float(value) for name, value in own.items()}
+        return made

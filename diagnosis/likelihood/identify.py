@@ -1,0 +1,91 @@
+"""Which effects are missing: the noise's fit, then sets by evidence, each time linear about the last answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.likelihood.evidence import Scored, Search, Sums, present, sums
+from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
+from diagnosis.likelihood.problem import Information, Problem
+from dynamics.arrays import Floats
+from dynamics.progress import Progress, no_progress
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The best set about its own values. std: of its columns, with the scatter of blocks."""
+
+    noise: NoiseFit
+    search: Search
+    total: Sums
+    best: Scored
+    std: Floats
+    chi_square: float
+    information: list[Information]
+    took: float
+
+
+def identify(problem: Problem, structures: Sequence[str] | None = None, progress: Progress = no_progress) -> Identified:
+    """The best set of effects. structures: of the noise, among which the likelihood decides; by default all."""
+    began, t = time.process_time(), problem.thresholds
+    progress(0.0, "the noise of the flights")
+    noise = likeliest(problem, structures or structures_of(problem.flights[0].segment))
+    members: tuple[int, ...] = ()
+    for number in range(t.rounds):
+        progress(0.4 + 0.6 * number / t.rounds, "the effects that explain what is left")
+        problem.relinearise(noise.gain)
+        if number == 0:
+            problem.relinearise(noise.gain)
+        information = problem.information(noise.gain, noise.slopes)
+        total = sums(problem, information, noise.slopes, settled=number >= t.settled_rounds)
+        search = Search(problem, total)
+        best = search.best(members)
+        values = search.named_values(best)
+        step = _step(problem, search, best)
+        chi = sum(i.squares.sum() for i in information) / sum(i.count for i in information)
+        same = set(best.members) == set(members)
+        members = best.members
+        if same and step < t.settled_step and number >= t.settled_rounds:
+            break
+        problem.fitted = values | _commands(problem, search, total, best)
+        if number == t.settled_rounds - 1:
+            noise = fit_noise(problem, noise.structure, values=noise.values, only=members)
+    std = _deviations(total, search, best)
+    return Identified(noise, search, total, best, std, float(chi), information, time.process_time() - began)
+
+
+def _commands(problem: Problem, search: Search, total: Sums, best: Scored) -> dict[int, dict[str, float]]:
+    """What lies between command and thrust, beside the best set."""
+    what, own = problem.what, problem.what.of_commands
+    members = [p for i in best.members for p in search.columns[i]]
+    change = total.of_commands(members, best.values, len(own))
+    made = {}
+    for place, value in zip(own, present(problem)[own] + change, strict=True):
+        number = what.columns[place].candidate
+        name = what.columns[place].name
+        made[number] = {name: what.all[number].at[name] + float(value)}
+    return made
+
+
+def _step(problem: Problem, search: Search, best: Scored) -> float:
+    """Largest change of a value since the last round, in its standard deviations."""
+    places = [p for i in best.members for p in search.columns[i]]
+    if not places:
+        return 0.0
+    change = best.values - search.total.now[places]
+    return float(np.max(np.abs(change) / np.sqrt(np.diag(best.covariance))))
+
+
+def _deviations(total: Sums, search: Search, best: Scored) -> Floats:
+    """(c,) standard deviations: the larger of the likelihood's and of the blocks' scatter (a sandwich)."""
+    places = [p for i in best.members for p in search.columns[i]]
+    if not places:
+        return np.zeros(0)
+    scores = total.g_blocks[:, places] - np.einsum("bij,j->bi", total.M_blocks[:, places][:, :, places], best.values)
+    H = best.covariance
+    sandwich = H @ (scores.T @ scores) @ H
+    return np.asarray(np.sqrt(np.maximum(np.diag(H), np.diag(sandwich))))

@@ -1,0 +1,133 @@
+"""Flights with the noise's model: passes of the filter, the noise's fit, and sums from which sets are scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnosis.likelihood.columns import Candidates, inputs
+from diagnosis.likelihood.flight_rows import FlightRows, Reference
+from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant
+from diagnosis.likelihood.innovations import start
+from diagnosis.likelihood.rigid_body import Along, FlightModel, moved_reference
+from diagnosis.noise.component import hover
+from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
+from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+
+FEW = 4  # flights of which the mean slope is hover's
+TINY = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Sums of a segment over blocks of time, of whitened innovations nu and of their slopes -X in the parameters.
+
+    group: number of the flight. M: (blocks, k, k) sums of X' X. g: (blocks, k) sums of X' nu. squares: (blocks,) sums
+    of nu' nu. count: readings in all blocks. rows: of them.
+    """
+
+    group: int
+    M: Floats
+    g: Floats
+    squares: Floats
+    count: int
+    rows: int
+
+
+@dataclass(eq=False)
+class Problem:
+    """Flights, their model, and what may be missing in it.
+
+    uses: effects of the model about which everything is linear. fitted: of these the candidates, by number.
+    """
+
+    vehicle: Vehicle
+    catalogue: Mapping[str, Effect]
+    flights: Sequence[FlightRows]
+    what: Candidates
+    fitted: dict[int, dict[str, float]] = field(default_factory=dict)
+    references: dict[int, Reference] = field(default_factory=dict)
+    thresholds: LikelihoodThresholds = DEFAULT.likelihood
+
+    @property
+    def uses(self) -> list[EffectUse]:
+        """The vehicle file's effects with the candidates that are fitted."""
+        used = {(use.name, use.rotor): use for use in self.vehicle.effects}
+        for number, values in self.fitted.items():
+            candidate = self.what.all[number]
+            used[candidate.identity] = EffectUse(candidate.effect.name, {**candidate.at, **values}, candidate.rotor)
+        return list(used.values())
+
+    def plant(self) -> Plant:
+        """The rigid body about hover."""
+        rows = self.flights[0]
+        conditions = hover(self.vehicle, rows.period, rows.segment.rate, rows.segment.rate)
+        model = FlightModel(self.vehicle, self.uses, self.catalogue)
+        some = range(min(FEW, len(self.flights)))
+        along = [model.along(self.flights[i], self.reference(i), conditions.specific_force) for i in some]
+        slope = np.mean([one.slope.mean(0) for one in along], axis=0)
+        slope[:, 3:6] = 0.0  # its mean over headings
+        slope[np.abs(slope) < TINY] = 0.0
+        by_rotor = np.mean([one.by_rotor.mean(0) for one in along], axis=0)
+        return Plant(conditions, slope, by_rotor, rows.readings)
+
+    def reference(self, place: int) -> Reference:
+        """The present reference of a flight: its own readings, until a pass has predicted better ones."""
+        if place not in self.references:
+            self.references[place] = self.flights[place].measured_reference()
+        return self.references[place]
+
+    def along(self, place: int) -> Along:
+        """The model along a flight about its reference."""
+        lift = np.array([0.0, 0.0, GRAVITY])
+        model = FlightModel(self.vehicle, self.uses, self.catalogue)
+        return model.along(self.flights[place], self.reference(place), lift)
+
+    def relinearise(self, gain: Gain) -> None:
+        """Each flight's reference becomes what the filter predicts from earlier rows."""
+        for place in range(len(self.flights)):
+            along = self.along(place)
+            _, states = start(gain, 1).advance(along.model, *_data(along), path=True)
+            self.references[place] = moved_reference(along.reference, states)
+
+    def columns(self, place: int, along: Along, only: Sequence[int] | None = None) -> tuple[Floats, Floats]:
+        """Inputs of candidates and nuisances along a flight."""
+        return inputs(self.flights[place], along, self.vehicle, self.catalogue, self.uses, self.what, self.fitted, only)
+
+    def information(self, gain: Gain, noise: NoiseSlopes, only: Sequence[int] | None = None) -> list[Information]:
+        """Each flight's sums; the noise's hyperparameters are the last columns."""
+        made, inverse = [], np.linalg.inv(gain.whitening)
+        for place, rows in enumerate(self.flights):
+            along = self.along(place)
+            B, D = self.columns(place, along, only)
+            B0, D0 = _data(along)
+            white, states = start(gain, 1 + B.shape[2]).advance(
+                along.model, np.concatenate([B0, B], 2), np.concatenate([D0, -D], 2), path=True
+            )
+            moved = noise.inputs(states, white[:, :, 0] @ inverse.T)
+            by_noise, _ = start(gain, len(noise.V)).advance(along.model, *moved)
+            made.append(self._summed(rows, np.concatenate([white, by_noise], axis=2), noise))
+        return made
+
+    def _summed(self, rows: FlightRows, white: Floats, noise: NoiseSlopes) -> Information:
+        first, length = int(self.thresholds.burn_in / rows.period), max(1, int(self.thresholds.block / rows.period))
+        M, g, squares, counted, H = [], [], [], 0, len(noise.V)
+        for begin in range(first, len(white), length):
+            part = white[begin : begin + length]
+            flat = part.reshape(-1, part.shape[2])
+            nu, X = flat[:, 0], -flat[:, 1:]
+            M.append(X.T @ X)
+            g.append(X.T @ nu)
+            M[-1][-H:, -H:] += noise.information(len(part))
+            g[-1][-H:] += noise.score(part[:, :, 0])
+            squares.append(nu @ nu)
+            counted += len(part)
+        return Information(rows.group, np.array(M), np.array(g), np.array(squares), counted * white.shape[1], counted)
+
+
+def _data(along: Along) -> tuple[Floats, Floats]:
+    return np.ascontiguousarray(along.defect[:, :, None]), np.ascontiguousarray(along.difference[:, :, None])

@@ -1,0 +1,215 @@
+"""The vehicle's model with effects along a reference: responses, readings, and slopes in state, rotors and parameters.
+
+The sensors' faults are those of `dynamics.effect.Reading`; the readings are compared in body axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from diagnosis.likelihood.flight_rows import FlightRows, Reference
+from diagnosis.likelihood.innovations import Linearised
+from diagnosis.likelihood.rotations import exponential, logarithm, orthonormal, skew
+from diagnosis.models.batched_function import RowFunction
+from dynamics import quaternion
+from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.model import Model, build_model
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+
+PARAMETERS = 7  # place of the parameters among the inputs
+OUTPUTS: Mapping[str, slice] = {  # of the functions; the rotors' readings and their age follow
+    "force": slice(0, 3),
+    "turning": slice(3, 6),
+    "accelerometer": slice(6, 9),
+    "gyro": slice(9, 12),
+    "velocity": slice(12, 15),
+    "attitude": slice(15, 18),
+}
+SPEEDS = 18
+MAX_SAVED = 256
+_functions: dict[Hashable, RowFunction] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """The model along a flight about a reference.
+
+    reference: at the rows' ends. rotation, rate, velocity: at their middles.
+    speed, spin_up, slope_in_lag: (N, rotors) rad/s and rad/s^2 of the rotors, and their speeds' slope in the lag.
+    force: (N, 3) specific force. turning: (N, 3) angular acceleration.
+    slope: (N, 6, 9) of both in the error state; by_rotor (N, 6, rotors).
+    defect: (N, 9 or 9 + 2 rotors) where a row's model ends, less the reference there.
+    difference: (N, m) readings less the model's.
+    model: for the filter.
+    """
+
+    reference: Reference
+    velocity: Floats
+    rotation: Floats
+    rate: Floats
+    speed: Floats
+    spin_up: Floats
+    slope_in_lag: Floats | None
+    force: Floats
+    turning: Floats
+    slope: Floats
+    by_rotor: Floats
+    defect: Floats
+    difference: Floats
+    model: Linearised
+
+
+class FlightModel:
+    """A vehicle's model with effects, for the filter.
+
+    uses: its effects; a lag of the rotors acts on the speeds, and is none of the functions'.
+    """
+
+    def __init__(self, vehicle: Vehicle, uses: Sequence[EffectUse], catalogue: Mapping[str, Effect]) -> None:
+        lags = [use for use in uses if catalogue[use.name].rotor_speed is not None]
+        self.uses = [use for use in uses if use not in lags]
+        self.model: Model = build_model(vehicle, effects=self.uses, catalogue=catalogue)
+        self.lag = sum(use.parameters["time_constant"] for use in lags) or None if lags else None
+
+    def speeds(self, rows: FlightRows, reference: Reference) -> tuple[Floats, Floats, Floats | None]:
+        """(N, rotors) speeds of the rotors in the rows, their acceleration, and the speeds' slope in the lag."""
+        if "rotor_speed" in rows.readings:
+            speed, slope = np.split(reference.rotors[:-1], 2, axis=1)
+            return speed + rows.period / 2 * slope, slope, None
+        speed, in_lag = rows.rotor_speed(self.lag)
+        return speed, np.gradient(speed, rows.period, axis=0), in_lag
+
+    def along(self, rows: FlightRows, reference: Reference, hover_force: Floats) -> Along:
+        """The model along a flight. hover_force: about which the noise's transition is constant."""
+        dt, count = rows.period, self.model.vehicle.rotors.count
+        speed, spin_up, slope_in_lag = self.speeds(rows, reference)
+        v, R, w = reference.velocity[:-1], reference.rotation[:-1], reference.rate[:-1]
+        start = self._evaluated(rows, v, R, w, speed, spin_up, ())[:, :6]
+        v_half = v + dt / 2 * (np.einsum("tij,tj->ti", R, start[:, :3]) - [0, 0, GRAVITY])
+        R_half = R @ exponential(dt / 2 * w + dt**2 / 8 * start[:, 3:])
+        w_half = w + dt / 2 * start[:, 3:]
+        out = self._evaluated(rows, v_half, R_half, w_half, speed, spin_up, ())
+        force, turning = out[:, OUTPUTS["force"]], out[:, OUTPUTS["turning"]]
+        slopes = out[:, SPEEDS + count + 1 :].reshape(len(rows), 6 + count, 6).transpose(0, 2, 1)
+        slope = np.zeros((len(rows), 6, 9))
+        slope[:, :, :3] = slopes[:, :, :3] @ R_half
+        body_velocity = np.einsum("tji,tj->ti", R_half, v_half)
+        slope[:, :, 3:6] = slope[:, :, :3] @ skew(body_velocity)
+        slope[:, :, 6:] = slopes[:, :, 3:6]
+        v_next = v + dt * (np.einsum("tij,tj->ti", R_half, force) - [0, 0, GRAVITY])
+        R_next = R @ exponential(dt * w_half)
+        w_next = w + dt * turning
+        after = reference.velocity[1:], reference.rotation[1:], reference.rate[1:]
+        defect = np.concatenate(
+            [
+                np.einsum("tji,tj->ti", after[1], v_next - after[0]),
+                logarithm(np.swapaxes(after[1], 1, 2) @ R_next),
+                w_next - after[2],
+            ],
+            axis=1,
+        )
+        if "rotor_speed" in rows.readings:
+            before, slope_before = np.split(reference.rotors, 2, axis=1)
+            moved = np.concatenate([before[:-1] + dt * slope_before[:-1], slope_before[:-1]], axis=1)
+            defect = np.concatenate([defect, moved - reference.rotors[1:]], axis=1)
+        A, C = _transition(slope, force, w_half, dt, rows.readings, count)
+        difference = self._difference(rows, v_half, R_half, spin_up, out)
+        conditions = np.concatenate([force - hover_force, w_half], axis=1)
+        model = Linearised(A, C, np.ascontiguousarray(conditions))
+        motion = (reference, v_half, R_half, w_half, speed, spin_up, slope_in_lag, force, turning)
+        return Along(*motion, slope, slopes[:, :, 6:], defect, difference, model)
+
+    def parameter_slopes(self, rows: FlightRows, along: Along, free: Sequence[str]) -> Floats:
+        """(N, k, 19 + rotors) slopes of the outputs in parameters, by the model's names."""
+        values = self._evaluated(rows, along.velocity, along.rotation, along.rate, along.speed, along.spin_up, free)
+        return values.reshape(len(rows), len(free), values.shape[1] // max(len(free), 1))
+
+    def _evaluated(
+        self, rows: FlightRows, v: Floats, R: Floats, w: Floats, speed: Floats, spin_up: Floats, free: Sequence[str]
+    ) -> Floats:
+        q = quaternion.from_rotation_matrix(R)
+        function = _function(self.model, tuple(free))
+        return function(v, q, w, rows.position, speed, spin_up, rows.environment, self.model.parameter_values)
+
+    def _difference(self, rows: FlightRows, v: Floats, R: Floats, spin_up: Floats, out: Floats) -> Floats:
+        """(N, m) readings less the model's, in body axes."""
+        count = self.model.vehicle.rotors.count
+        parts: dict[str, Callable[[], Floats]] = {
+            "velocity": lambda: np.einsum("tji,tj->ti", R, rows.velocity - v) - out[:, OUTPUTS["velocity"]],
+            "attitude": lambda: logarithm(np.swapaxes(R, 1, 2) @ rows.rotation) - out[:, OUTPUTS["attitude"]],
+            "gyro": lambda: np.asarray(rows.rate - out[:, OUTPUTS["gyro"]]),
+            "accelerometer": lambda: np.asarray(rows.force - out[:, OUTPUTS["accelerometer"]]),
+            "rotor_speed": lambda: np.asarray(
+                rows.rotor_speed(None)[0] - out[:, SPEEDS : SPEEDS + count] + spin_up * out[:, [SPEEDS + count]]
+            ),
+        }
+        return np.concatenate([parts[kind]() for kind in rows.readings], axis=1)
+
+
+def moved_reference(reference: Reference, states: Floats) -> Reference:
+    """A reference moved by errors of velocity, attitude and rate (N, n) at the rows' starts."""
+    width = 9 + reference.rotors.shape[1]
+    error = np.concatenate([states[:, :width], states[-1:, :width]])
+    velocity = reference.velocity + np.einsum("tij,tj->ti", reference.rotation, error[:, :3])
+    rotation = orthonormal(reference.rotation @ exponential(error[:, 3:6]))
+    return Reference(velocity, rotation, reference.rate + error[:, 6:9], reference.rotors + error[:, 9:])
+
+
+def _transition(
+    slope: Floats, force: Floats, rate: Floats, dt: float, readings: Sequence[str], rotors: int
+) -> tuple[Floats, Floats]:
+    """(N, 9, 9) transition of the error state over a row, and (N, m, 9) means of the readings in that at its start."""
+    F = np.zeros((len(slope), 9, 9))
+    turn = skew(rate)
+    F[:, 0:3] = slope[:, :3]
+    F[:, 0:3, 0:3] -= turn
+    F[:, 0:3, 3:6] -= skew(force)
+    F[:, 3:6, 3:6] = -turn
+    F[:, 3:6, 6:9] = np.eye(3)
+    F[:, 6:9] = slope[:, 3:]
+    squared = F @ F
+    A = np.eye(9) + dt * F + dt**2 / 2 * squared
+    mean = np.eye(9) + dt / 2 * F + dt**2 / 6 * squared
+    parts = {"velocity": mean[:, 0:3], "attitude": mean[:, 3:6], "gyro": mean[:, 6:9]}
+    if "accelerometer" in readings:
+        parts["accelerometer"] = slope[:, :3] @ mean
+    if "rotor_speed" in readings:
+        parts["rotor_speed"] = np.zeros((len(slope), rotors, 9))
+    return np.ascontiguousarray(A), np.ascontiguousarray(np.concatenate([parts[kind] for kind in readings], axis=1))
+
+
+def _function(model: Model, free: tuple[str, ...]) -> RowFunction:
+    """(v, q, w, position, speed, change of speed, environment, p) -> outputs and their slopes in v, w and speed; or
+    slopes in free parameters."""
+    key = (model.structure, free)
+    if key not in _functions:
+        if len(_functions) >= MAX_SAVED:
+            _functions.clear()
+        count = model.vehicle.rotors.count
+        sizes = {"v": 3, "q": 4, "w": 3, "position": 3, "u": count, "a": count, "e": 2, "p": len(model.parameter_names)}
+        s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        force, turning = model.respond(
+            ca.vertcat(s["position"], s["v"], s["q"], s["w"]), s["u"], s["a"], s["p"], s["e"]
+        )
+        read = model.measure(force, s["w"], s["u"], s["p"], turning)
+        accelerometer, rate, speed, age, attitude_age, arm, axes, rotor_age = read
+        gyro = quaternion.rotate_inverse(axes, rate)
+        gravity = quaternion.rotate_inverse(s["q"], ca.vertcat(0, 0, GRAVITY))
+        velocity = ca.cross(s["w"], arm) - (force - gravity) * age
+        out = ca.vertcat(
+            force, turning, accelerometer, gyro, velocity, -s["w"] * (age + attitude_age), speed, rotor_age
+        )
+        if free:
+            places = [model.parameter_index(name) for name in free]
+            result = ca.vec(ca.jacobian(out, s["p"])[:, places])
+        else:
+            slopes = ca.jacobian(ca.vertcat(force, turning), ca.vertcat(s["v"], s["w"], s["u"]))
+            result = ca.vertcat(out, ca.vec(slopes))
+        function = ca.Function("model", list(s.values()), [ca.densify(ca.cse(result))])
+        _functions[key] = RowFunction(function, shared=(PARAMETERS,))
+    return _functions[key]

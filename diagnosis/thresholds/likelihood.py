@@ -1,0 +1,40 @@
+"""Decisions of the likelihood: rows, how the noise is fitted, and when a search ends."""
+
+from __future__ import annotations
+
+from diagnosis.thresholds.group import Count, Positive, ThresholdGroup
+
+
+class LikelihoodThresholds(ThresholdGroup, frozen=True):
+    """The filter of flights and the search on its innovations.
+
+    row_rate: Hz, about which rows are means of the log's. [measured: 200 Hz changes no set of ten, and costs twice]
+    burn_in: s of a segment in which the filter settles. [formula: the memory of its slowest state that matters]
+    block: s of flight whose sum is one draw of the score's scatter. [definition: longer than innovations correlate]
+    first_seconds: of flight on which noise is fitted from afar. [cost]
+    seconds: of flight on which it is fitted. [cost]
+    first_steps: of scoring on the first. [cost: a dozen steps converge]
+    steps: the same on the second. [cost]
+    converged: gain of the log-likelihood by a step that ends them. [formula: far below one]
+    ridge: prior of all candidates while noise is fitted, of their own information. [formula: rounding]
+    rounds: of search, each linear about the last one's answer. [cost]
+    settled_rounds: after which the noise's values are among the nuisances. [definition: near the optimum]
+    settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]
+    max_effects: in one set. [convention]
+    min_improvement: of the log-evidence, below which no step is taken. [formula: rounding ends no search]
+    """
+
+    row_rate: Positive = 100.0
+    burn_in: Positive = 1.0
+    block: Positive = 2.0
+    first_seconds: Positive = 15.0
+    seconds: Positive = 45.0
+    first_steps: Count = 6
+    steps: Count = 5
+    converged: Positive = 0.05
+    ridge: Positive = 1e-4
+    rounds: Count = 6
+    settled_rounds: Count = 2
+    settled_step: Positive = 0.3
+    max_effects: Count = 10
+    min_improvement: Positive = 0.5

@@ -1,0 +1,131 @@
+"""Columns, their sums, a set's evidence, and which effects flights of another simulator name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from diagnosis.likelihood.columns import Candidates, Column, Nuisance
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Search, sums
+from diagnosis.likelihood.gain import NoiseSlopes
+from diagnosis.likelihood.identify import identify
+from diagnosis.likelihood.problem import Information, Problem
+from diagnosis.likelihood.rigid_body import FlightModel
+from dynamics.vehicle import GRAVITY, EffectUse
+from tests.diagnosis.likelihood.flights import problem_of
+
+NO_NOISE = NoiseSlopes(
+    np.zeros((1, 0)), np.zeros((1, 0)), np.zeros((1, 0)), np.zeros((0, 1, 1)), np.zeros(0), np.zeros(0)
+)
+
+
+@pytest.mark.parametrize(("name", "parameter", "step"), [
+    ("linear_drag", "coefficient", 1e-4), ("inertia", "ratio_x", 1e-4), ("mass", "ratio", 1e-4),
+    ("time_delay", "delay", 1e-5), ("imu_lever_arm", "z", 1e-4), ("gyro_bias", "y", 1e-5),
+    ("rotor_speed_fault", "gain", 1e-5), ("rotor_delay", "delay", 1e-6), ("wind", "x", 1e-3),
+])  # fmt: skip
+def test_a_column_is_the_slope_of_the_model(name, parameter, step):
+    problem = problem_of("nothing", "speeds", 90002, 1)
+    what, rows, lift = problem.what, problem.flights[0], np.array([0.0, 0.0, GRAVITY])
+    number = next(i for i, c in enumerate(what.all) if c.effect.name == name)
+    candidate = what.all[number]
+    column = what.places(number)[candidate.free.index(parameter)]
+    along = problem.along(0)
+    B, D = problem.columns(0, along, [number])
+    ends = []
+    for sign in (1, -1):
+        values = {**candidate.at, parameter: candidate.at[parameter] + sign * step}
+        uses = [*problem.uses, EffectUse(name, values, candidate.rotor)]
+        ends.append(FlightModel(problem.vehicle, uses, problem.catalogue).along(rows, along.reference, lift))
+    defect = (ends[0].defect - ends[1].defect)[:, :9] / (2 * step)
+    read = -(ends[0].difference - ends[1].difference) / (2 * step)
+    np.testing.assert_allclose(B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
+    np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
+
+
+def made_up(random: np.random.Generator) -> tuple[Problem, list[Information], list[np.ndarray], list[np.ndarray]]:
+    """Two flights of three blocks with three effects, a bias of each flight and a discrepancy of each block."""
+    problem = problem_of("nothing", "speeds", 90002, 1)
+    chosen = [c for c in problem.what.all if c.effect.name in ("mass", "linear_drag", "thrust_constant")]
+    columns = tuple(Column(i, c.free[0]) for i, c in enumerate(chosen))
+    nuisances = (Nuisance("gyro", 0, 0.4, "flight"), Nuisance("force", 0, 0.2, "block"))
+    what = Candidates(tuple(chosen), columns, nuisances)
+    small = Problem(problem.vehicle, problem.catalogue, problem.flights, what)
+    parts, designs, readings = [], [], []
+    for group in range(2):
+        X = random.standard_normal((3, 8, 5))
+        y = X[:, :, 0] * 0.3 + random.standard_normal((3, 8))
+        M, g = np.einsum("bri,brj->bij", X, X), np.einsum("bri,br->bi", X, y)
+        parts.append(Information(group, M, g, (y**2).sum(1), 24, 24))
+        designs.append(X)
+        readings.append(y)
+    return small, parts, designs, readings
+
+
+def test_evidence_is_the_ratio_of_the_gaussian_densities():
+    """Nuisances and effects as covariances of one long vector: the textbook's answer."""
+    problem, parts, designs, readings = made_up(np.random.default_rng(6))
+    search = Search(problem, sums(problem, parts, NO_NOISE, settled=False))
+    y = np.concatenate([one.ravel() for one in readings])
+
+    def covariance(members: tuple[int, ...]) -> np.ndarray:
+        total, first = np.eye(len(y)), 0
+        effects = np.concatenate([X[:, :, :3].reshape(-1, 3) for X in designs])
+        for i in members:
+            total += np.outer(effects[:, i], effects[:, i]) * search.std[i] ** 2
+        for X in designs:
+            rows = slice(first, first + 24)
+            bias = X[:, :, 3].ravel()
+            total[rows, rows] += 0.4**2 * np.outer(bias, bias)
+            for b in range(3):
+                block = slice(first + 8 * b, first + 8 * b + 8)
+                total[block, block] += 0.2**2 * np.outer(X[b, :, 4], X[b, :, 4])
+            first += 24
+        return total
+
+    def log_density(members: tuple[int, ...]) -> float:
+        return float(stats.multivariate_normal.logpdf(y, cov=covariance(members)))
+
+    for members in ((0,), (1,), (0, 2), (0, 1, 2)):
+        scored = search.score(members)
+        if scored.evidence == IMPOSSIBLE:
+            continue
+        prior = sum(search.log_prior[i] for i in members)
+        assert scored.evidence - prior == pytest.approx(log_density(members) - log_density(()), rel=1e-9)
+    assert any(search.score(m).evidence != IMPOSSIBLE for m in ((0,), (1,), (2,)))
+
+
+def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
+    problem, parts, _, _ = made_up(np.random.default_rng(7))
+    total = sums(problem, parts, NO_NOISE, settled=False)
+    total.g[:] = -1e6  # a mass far below what it may be
+    assert Search(problem, total).score((0,)).evidence == IMPOSSIBLE
+    assert Search(problem, total).score((0, 0)).evidence == IMPOSSIBLE
+
+
+def named(problem: Problem) -> tuple[dict[str, dict[str, float]], float, dict[str, float]]:
+    """Effects by name, the innovations' chi-square, and each one's deviation."""
+    result = identify(problem, ["filtered pose"])
+    values = result.search.named_values(result.best)
+    first, deviations = 0, {}
+    for number in result.best.members:
+        width = len(result.search.columns[number])
+        deviations[problem.what.all[number].key] = float(result.std[first])
+        first += width
+    return {problem.what.all[i].key: own for i, own in values.items()}, result.chi_square, deviations
+
+
+def test_flights_of_another_simulator_with_nothing_hidden_name_nothing():
+    effects, chi_square, _ = named(problem_of("nothing", "speeds", 90002))
+    assert effects == {}
+    assert chi_square == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_drag_of_another_simulator_is_named_alone_with_its_value():
+    problem = problem_of("single", "rotor_drag", 90000)
+    effects, chi_square, deviations = named(problem)
+    assert set(effects) == {"rotor_drag"}
+    assert chi_square == pytest.approx(1.0, abs=0.03)
+    truth = 6.869e-05
+    assert abs(effects["rotor_drag"]["coefficient"] - truth) < 3 * deviations["rotor_drag"]
