@@ -35,8 +35,9 @@ def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
     repairs = _pose_repairs(reading, turns, streams)
     if not repairs:
         return []
+    as_logged = pose.untouched(motion, as_declared)
     pairs = [
-        (name, getattr(reading, part), getattr(as_declared, part))
+        (name, getattr(reading, part), getattr(as_logged, part))
         for name, part in (("turning and rates", "rate"), ("acceleration and force", "world"))
     ]
     closes = [

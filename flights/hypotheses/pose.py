@@ -7,7 +7,7 @@ turns, is the reading.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from flights.hypotheses.rotation import (
 _NEAREST = np.deg2rad(60.0)  # beyond any turn's distance from the nearest whole axes about one axis
 _HEADING = np.deg2rad(15.0)  # by which an estimator's north may be off motion capture's axes: 9 degrees in NanoBench
 MIN_TURNING = 0.1  # rad/s rms, below which attitude and rates cannot be compared
-MIN_ACCELERATION = 0.3  # m/s^2 rms of specific force in the world that must vary
+MIN_ACCELERATION = 0.3  # m/s^2 rms about its mean, below which acceleration and specific force cannot be compared
 MIN_LATERAL = 0.25  # m/s^2 rms along body x and y, below which a turn of the accelerometer about z does not show
 _CLEAR_LATERAL = 0.6  # correlation of lateral force and what the pose needs, at the best turn,
 _CLEARER = 0.25  # and by which it must exceed that without a turn
@@ -109,6 +109,12 @@ def declared(motion: Motion) -> Reading | None:
     return max(_read(motion, "wxyz", conjugate=False), key=lambda one: one.score)
 
 
+def untouched(motion: Motion, reading: Reading) -> Reading:
+    """The reading with the accelerometer along the axes of the attitude's body, as logged."""
+    attitude = reading.attitude(motion.values["attitude"])
+    return _with_world(motion, attitude, replace(reading, world=None, force_turn=np.eye(3)))
+
+
 def others(motion: Motion) -> list[Reading]:
     """Readings by another order or sense of the attitude, the best first."""
     ways = [("wxyz", True), ("xyzw", False), ("xyzw", True)]
@@ -161,7 +167,7 @@ def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:
     pair = None if acceleration is None else both(force, acceleration)
     if pair is not None and len(pair[0]) >= MIN_ROWS:
         x, y = (values - values.mean(axis=0) for values in pair)
-        if rms(x) > MIN_ACCELERATION:
+        if rms(y) > MIN_ACCELERATION:  # the same for all readings, as the force in the world is not
             is_measured = motion.has("specific_force")  # the thrust's direction lacks the drag, which turns a circle's
             world = _closing(fitted(x, y, mirrored=is_measured, snap=_HEADING if is_measured else _NEAREST))
             if not _along_an_axis(world.turn @ up):  # nobody's convention has a tilted up

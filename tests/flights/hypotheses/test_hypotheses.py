@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fixtures.wrong_columns import MUTATIONS, in_bursts, rotation, turned, with_values
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY
+from fixtures.wrong_columns import MUTATIONS, Streams, attitude, in_bursts, rotation, turned, with_values
 from flights import read_log
 from flights.hypotheses import explain
 from flights.hypotheses.hypothesis import after
@@ -52,6 +54,14 @@ def test_a_wrong_declaration_is_named_and_its_repair_leaves_nothing_to_repair(lo
     assert explain(list(repaired.values())) == ()
 
 
+@BRISK
+def test_evidence_compares_with_the_log_as_it_is(log: Path) -> None:
+    streams = MUTATIONS["accelerometer FRD"][0](dict(streams_of(log)))
+    (hypothesis,) = explain(list(streams.values()))
+    then, as_declared = (float(part.split(" ")[0]) for part in hypothesis.evidence.split("; ")[1].split("then, "))
+    assert as_declared < then - 0.1
+
+
 @pytest.mark.parametrize("degrees", [20.0, 45.0, 120.0])
 @pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [0.6, -0.3, 0.2]])
 def test_the_turn_of_an_imu_is_given_to_half_a_degree(axis: list[float], degrees: float) -> None:
@@ -79,6 +89,45 @@ def test_a_factor_that_is_no_unit_is_called_a_factor() -> None:
     (hypothesis,) = explain(list(streams.values()))
     assert "a factor that is no unit" in hypothesis.text
     assert hypothesis.repairs[0].scale == pytest.approx(100.0, rel=0.02)
+
+
+def dragged_flight(acceleration: float, drag: float) -> Streams:
+    """A flight of 20 s with one heading, whose tilt overcomes a drag that its accelerometer reads.
+
+    acceleration: m/s^2 rms over the three axes. drag: linear, 1/s.
+    """
+    time = np.arange(0.0, 20.0, 0.01)
+    turning = 2 * np.pi * np.array([0.2, 0.15, 0.1])
+    peak = acceleration * np.sqrt(2) * np.array([1.3, 1.0, 0.557])
+    phase = turning * time[:, None] + np.array([0.0, 1.0, 2.0])
+    velocity = -peak / turning * np.cos(phase)
+    force = peak * np.sin(phase) + [0.0, 0.0, GRAVITY]
+    thrust = force + drag * velocity
+    axis = np.cross([0.0, 0.0, 1.0], thrust)
+    tilt = np.arctan2(np.linalg.norm(axis, axis=1), thrust[:, 2])[:, None]
+    pose = quaternion.exponential(tilt * axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12))
+    noise = np.random.default_rng(7).normal(size=(2, len(time), 3))
+    values = {
+        "attitude": pose,
+        "velocity": velocity + 2e-3 * noise[0],
+        "position": -peak / turning**2 * np.sin(phase),
+        "specific_force": quaternion.rotate_inverse(pose, force) + 0.1 * noise[1],
+    }
+    return {name: Stream(name, time, columns, "") for name, columns in values.items()}
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.4, 1.2])
+@pytest.mark.parametrize("acceleration", [0.12, 0.18, 0.22, 0.24, 0.26, 0.28, 0.29, 0.31, 0.34, 0.4, 0.5])
+def test_a_gentle_flight_is_what_it_declares_however_large_its_drag(acceleration: float, drag: float) -> None:
+    assert explain(list(dragged_flight(acceleration, drag).values())) == ()
+
+
+@pytest.mark.parametrize("acceleration", [0.12, 0.18, 0.22, 0.24, 0.26, 0.28, 0.29, 0.31, 0.34, 0.4, 0.5])
+def test_motion_that_tells_one_reading_tells_all_of_them(acceleration: float) -> None:
+    """The repair of a flight with world to body attitudes is that or, where it is too gentle, none, but no other."""
+    streams = attitude(quaternion.conjugate)(dragged_flight(acceleration, 0.6))
+    repairing = [one.name for one in explain(list(streams.values())) if one.repairs]
+    assert repairing == (["attitude_conjugate"] if acceleration > 0.3 else [])
 
 
 def test_hover_tells_nothing_and_says_nothing() -> None:
