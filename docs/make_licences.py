@@ -46,8 +46,8 @@ writes locks and this page anew after a change of `pyproject.toml` or `constrain
 ## Licences
 
 As SPDX expressions, from each package's metadata or licence file. Alula itself is under Apache-2.0. CasADi (LGPL) is
-loaded as a library of its own, and its HPIPM and BLASFEO (BSD-2-Clause) are in wheels with compiled controllers;
-pymavlink's generated messages, which a wheel carries, are under MIT. cvxopt (GPL) comes with rotorpy, a second
+loaded as a library of its own, and no wheel and no bundle has a part of it; pymavlink's generated messages, which a
+wheel carries, are under MIT. cvxopt (GPL) comes with rotorpy, a second
 simulator that the tests alone compare with; no wheel and no bundle has it.
 
 | package | version | licence | for |

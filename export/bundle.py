@@ -28,13 +28,13 @@ from dynamics.state import RIGID_BODY_STATES
 from dynamics.trust import approve_here
 from dynamics.version import VERSION_KEY, __version__
 from export.c_files import build_c_files, c_files, compiled
+from export.compiler import compiler_for
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
 from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function, weighted_function
-from export.toolchain import toolchain_for
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
 from runtime.control.bundle import (
@@ -115,7 +115,7 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     Raises RequestError when the folder exists already or there is no compiler, DataError when the backends disagree.
     """
     _require_free(folder, options)
-    toolchain = toolchain_for(options.processor)
+    compiler = compiler_for(options.processor)
     here = options if options.processor.runs_here else replace(options, processor=native_processor())
     proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()
     texts = c_files(model)
@@ -135,9 +135,7 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
         if model.moment is not None and model.network is not None:
             (part / LAST_LAYER).write_bytes(last_layer_file(model.moment, body=model.network.outputs == "body"))
         for name, recipe in flown.items():
-            shutil.copyfile(build_kernel(recipe, toolchain), part / name)
-        for library in toolchain.hpipm.libraries:
-            shutil.copyfile(library, part / library.name)
+            shutil.copyfile(build_kernel(recipe, compiler), part / name)
         manifest = with_digest(_manifest(model, options, part))
         content = msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n"
         (part / MANIFEST).write_bytes(content)
@@ -253,7 +251,7 @@ def _prove(
 
 def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
     """The kernel's sources, and the command that compiles them, to rebuild or read them."""
-    command = f"cc {' '.join(recipe.flags)} $HPIPM_FLAGS {recipe.entry} -o kernel.so $HPIPM_LIBRARIES -lm\n"
+    command = f"cc {' '.join(recipe.flags)} {recipe.entry} -o kernel.so -lm\n"
     texts = {**recipe.sources, "BUILD": command}
     return {f"{SOURCES}/{name}": text for name, text in texts.items()}
 

@@ -14,9 +14,7 @@ from export.kernel_source import network_header
 from export.network import Ensemble, Network
 from export.physics import NAME, depends_on_position, physics_function
 from export.reverse_split import ReverseSplit, cheapest_split
-from export.toolchain import Toolchain
 from runtime.control.rti.compilation import SHARED
-from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor
 from runtime.control.rti.solver import RtiSolver
@@ -105,13 +103,9 @@ def kernel_recipe(
     return KernelRecipe(sources, (*processor.compiler_flags, *(f"-D{name}={value}" for name, value in defines.items())))
 
 
-def build_kernel(recipe: KernelRecipe, toolchain: Toolchain | None = None) -> Path:
-    """Path of the compiled kernel. toolchain: this machine's by default. Raises RequestError without a compiler."""
-    compiler, hpipm = (None, find_hpipm()) if toolchain is None else (toolchain.compiler, toolchain.hpipm)
-    flags = (*recipe.flags, *hpipm.compiler_flags)
-    return build_library(
-        recipe.sources, flags=flags, libraries=hpipm.linker_flags, entry=recipe.entry, compiler=compiler
-    )
+def build_kernel(recipe: KernelRecipe, compiler: str | None = None) -> Path:
+    """Path of the compiled kernel. compiler: this machine's by default. Raises RequestError without one."""
+    return build_library(recipe.sources, flags=recipe.flags, entry=recipe.entry, compiler=compiler)
 
 
 def kernel_solver(

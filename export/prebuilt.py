@@ -16,8 +16,8 @@ from dynamics.model import build_model
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from dynamics.vehicle_sizing import size_vehicle
+from export.compiler import compiler_for
 from export.kernel import KernelRecipe, build_kernel
-from export.toolchain import toolchain_for
 from runtime.control.kernel_model import kernel_facts
 from runtime.control.rti.compilation import ENTRY, solver_recipe
 from runtime.control.rti.prebuilt import FACTS, facts_key, prebuilt_path
@@ -42,25 +42,23 @@ def main() -> None:
 def build_prebuilt(machine: str, folder: Path) -> list[Path]:
     """Solvers and facts of the bundled vehicles, and of any without effects with 4, 6 or 8 rotors.
 
-    Raises RequestError where the toolchain for the machine is missing.
+    Raises RequestError where the compiler for the machine is missing.
     """
     made, facts = list[Path](), dict[str, object]()
     for processor in PROCESSORS.values():
         if processor.machine != machine or processor.name in LEFT_OUT:
             continue
-        toolchain = toolchain_for(processor)
+        compiler = compiler_for(processor)
         for vehicle in _vehicles():
             model, problem = build_model(vehicle), Problem.from_settings(vehicle.controller)
             path = prebuilt_path(folder, processor, model.effects, vehicle, problem)
             path.parent.mkdir(parents=True, exist_ok=True)
             sources, flags = solver_recipe(model, problem, processor)
-            shutil.copyfile(build_kernel(KernelRecipe(sources, flags, ENTRY), toolchain), path)
+            shutil.copyfile(build_kernel(KernelRecipe(sources, flags, ENTRY), compiler), path)
             made.append(path)
             facts[facts_key(vehicle)] = kernel_facts(model)
-        for library in toolchain.hpipm.libraries:
-            made.append(Path(shutil.copyfile(library, folder / machine / library.name)))
     (folder / FACTS).write_bytes(msgspec.json.encode(facts))
-    return [*dict.fromkeys(made), folder / FACTS]
+    return [*made, folder / FACTS]
 
 
 def _vehicles() -> Iterator[Vehicle]:

@@ -25,11 +25,7 @@ FORMAT, VERSION = "CycloneDX", "1.6"
 NAME = re.compile(r"[A-Za-z0-9._-]+")
 LICENCE_ID = re.compile(r"[A-Za-z0-9.+-]+")
 # Code of others in the wheel itself: (name, package that it comes from, licence).
-CARRIED = (
-    ("hpipm", "casadi", "BSD-2-Clause"),
-    ("blasfeo", "casadi", "BSD-2-Clause"),
-    ("mavlink-messages", "pymavlink", "MIT"),
-)
+CARRIED = (("mavlink-messages", "pymavlink", "MIT"),)
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ ENVIRONMENT = ROOT / ".venv-acados"
 CONDENSING = ("PARTIAL_CONDENSING_HPIPM", "FULL_CONDENSING_HPIPM")
 CHUNK = 50
 TICKS = 600
+ITERATIONS = 50  # of acados' QP at most, which begins at the measured state: ours goes on from a prepared point
 
 
 def install_acados() -> None:
@@ -96,8 +97,9 @@ def problem_numbers(solver: RtiSolver) -> dict[str, object]:
     """A solver's problem for acados."""
     problem, options = solver.problem, fill_options(solver.problem, solver.model)
     numbers: dict[str, object] = {n: list(getattr(options, n)) for n in ("Q", "P", "R", "u_lower", "u_upper")}
-    numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt", "iterations")}
-    return numbers | {"tolerance": problem.tolerance, "soft_penalty": problem.soft_penalty, "integrator": "ERK"}
+    numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt")}
+    numbers |= {"tolerance": problem.tolerance, "soft_penalty": problem.soft_penalty, "iterations": ITERATIONS}
+    return numbers | {"integrator": "ERK"}
 
 
 class Worker:
@@ -209,10 +211,9 @@ def nominal(words: Sequence[str]) -> Page | None:
     folder = ROOT / "build" / "rti_against_acados"
     cases, problem = record_cases(folder)
     own = own_command("kernel", "acados", "--own-worker")
-    workers = [Worker("Alula, CasADi wheel's BLASFEO (generic)", own)]
+    workers = [Worker("Alula", own)]
     if not arguments.own_side:
         install = acados_environment()
-        workers.append(Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)))
         for condensing in CONDENSING:
             name, build = f"acados SQP_RTI, {condensing}", folder / condensing.lower()
             workers.append(acados_worker(name, install, problem, condensing, build))
@@ -297,14 +298,11 @@ def learned(words: Sequence[str]) -> Page | None:
     folder = ROOT / "build" / "mlp_against_acados"
     cases, problem, ticks = learned_record_cases(checkpoints, folder)
     processor, workers = native_processor().name, []
-    builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
     if not arguments.own_side:
         install = acados_environment()
-        builds = {"acados' (Haswell)": {"ALULA_HPIPM": str(install)}, **builds}
-    for build, environment in builds.items():
-        for kind, name in (("pi_tcn", "PI-TCN, T = 20"), ("pi_mlp", "MLP, T = 1")):
-            command = own_command("kernel", "acados_mlp", "--own-worker", str(checkpoints / f"{kind}.pt"))
-            workers.append(Worker(f"Alula, {name}, {processor}, BLASFEO {build}", command, **environment))
+    for kind, name in (("pi_tcn", "PI-TCN, T = 20"), ("pi_mlp", "MLP, T = 1")):
+        command = own_command("kernel", "acados_mlp", "--own-worker", str(checkpoints / f"{kind}.pt"))
+        workers.append(Worker(f"Alula, {name}, {processor}", command))
     for condensing in () if arguments.own_side else CONDENSING:
         name = f"acados SQP_RTI, MLP, T = 1, {condensing}"
         workers.append(acados_worker(name, install, problem, condensing, folder / condensing.lower()))

@@ -7,20 +7,18 @@ hold them yet (three minutes).
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from benchmarks.kernel.network_worker import DT, LAG_AND_DRAG, Plant
-from benchmarks.measurement import ROOT, own_command
+from benchmarks.measurement import ROOT
 from dynamics.model import build_model
 from dynamics.vehicle import GRAVITY, Limits
 from export.kernel import kernel_solver
@@ -30,7 +28,6 @@ from runtime.control.rti.processor import Processor
 from runtime.control.rti.solver import RtiSolver
 
 NETWORKS = ROOT / "build" / "rti_network"
-ACADOS = ROOT / ".venv-acados" / "lib"
 STEPS = 8000
 SECONDS = 9.0
 PERIODS = {"3.6": 5.0, "5.1": 3.5}  # m/s at most: s of a lemniscate's lap
@@ -46,21 +43,6 @@ def networks(folder: Path = NETWORKS, steps: int = STEPS) -> Path:
             worker = [sys.executable, "-m", "benchmarks.kernel.network_worker", kind]
             subprocess.run([*worker, str(folder / f"{kind}.pt"), "--steps", str(steps)], check=True)
     return folder
-
-
-def with_each_blasfeo(name: str, folder: Path) -> dict[str, Any]:
-    """The last line that `python -m benchmarks kernel NAME --measure FOLDER` prints, as JSON, by the BLASFEO that it
-    runs with.
-    """
-    builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
-    if faster := list(ACADOS.glob("*/*/acados/install")):
-        builds["acados' (Haswell)"] = {"ALULA_HPIPM": str(faster[0])}
-    timings = {}
-    for build, environment in builds.items():
-        command = own_command("kernel", name, "--measure", str(folder))
-        done = subprocess.run(command, env=os.environ | environment, stdout=subprocess.PIPE, text=True, check=True)
-        timings[build] = json.loads(done.stdout.splitlines()[-1])
-    return timings
 
 
 def unlimited(model: ExportedModel) -> ExportedModel:

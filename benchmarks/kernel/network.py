@@ -8,13 +8,12 @@ the nominal model along a lemniscate in lockstep, and times every iteration of t
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import dataclasses
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import msgspec
@@ -22,7 +21,7 @@ import numpy as np
 import onnxruntime
 import torch
 
-from benchmarks.kernel.flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited, with_each_blasfeo
+from benchmarks.kernel.flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited
 from benchmarks.measurement import Page, options_of
 from benchmarks.provenance import RESULTS
 from dynamics.codegen import build_library
@@ -38,8 +37,8 @@ from training.config import ModelConfig
 from training.networks import build_network
 
 
-def measure(folder: Path) -> dict[str, object]:
-    """Everything that may depend on the BLASFEO in use: iterations by instruction set, in turns, calm and saturated."""
+def measure(folder: Path) -> dict[str, dict[str, Any]]:
+    """Iterations by instruction set, in turns, calm and saturated."""
     model, timings = read_model(folder / "pi_tcn.pt"), {}
     solvers = {name: solver_for(model, processor) for name, processor in PROCESSORS.items() if processor.runs_here}
     calm: dict[str, list] = {name: [] for name in solvers}
@@ -199,39 +198,32 @@ def closed_loop(folder: Path) -> list[str]:
     return rows
 
 
-def timing(measured: dict[str, dict[str, dict]]) -> list[str]:
+def timing(measured: dict[str, dict[str, Any]]) -> list[str]:
     names = "roll-out | tangents | Hessian, factor | preparation | feedback | step | fastest tenth"
-    rows = [f"| instructions, BLASFEO | {names} | saturated, median | worst |", "| --- " * 10 + "|"]
-    for build, by_name in measured.items():
-        for name, timings in by_name.items():
-            median, tenth = 1e6 * np.array(timings["median"]), 1e6 * np.array(timings["tenth"])
-            busy = 1e6 * np.array(timings["saturated"])
-            cells = [f"{value:.0f}" for value in (*median, median[3] + median[4], tenth[3] + tenth[4])]
-            worst = (
-                f"{np.median(busy):.0f} | {busy.max():.0f} ({timings['iterations']} QP iterations)"
-                if busy.size
-                else "- | -"
-            )
-            rows.append(f"| {name}, {build} | {' | '.join(cells)} | {worst} |")
+    rows = [f"| instructions | {names} | saturated, median | worst |", "| --- " * 10 + "|"]
+    for name, timings in measured.items():
+        median, tenth = 1e6 * np.array(timings["median"]), 1e6 * np.array(timings["tenth"])
+        busy = 1e6 * np.array(timings["saturated"])
+        cells = [f"{value:.0f}" for value in (*median, median[3] + median[4], tenth[3] + tenth[4])]
+        worst = "- | -"
+        if busy.size:
+            worst = f"{np.median(busy):.0f} | {busy.max():.0f} ({timings['iterations']} QP iterations)"
+        rows.append(f"| {name} | {' | '.join(cells)} | {worst} |")
     return rows
 
 
-def network(words: Sequence[str]) -> Page | None:
+def network(words: Sequence[str]) -> Page:
     """The measurement's page."""
     parser = options_of(__doc__)
     parser.add_argument("--networks", type=Path, default=NETWORKS)
     parser.add_argument("--steps", type=int, default=STEPS)
-    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args(words)
     torch.set_num_threads(1)
-    if arguments.measure is not None:
-        print(json.dumps(measure(arguments.measure)))
-        return None
     folder = networks(arguments.networks, arguments.steps)
-    measured = with_each_blasfeo("network", folder)
+    measured = measure(folder)
     model, processor = read_model(folder / "pi_tcn.pt"), native_processor()
     work, best = operations(model, processor), peak(processor)
-    fastest = min(sum(timings[processor.name]["median"][3:5]) for timings in measured.values())
+    fastest = sum(measured[processor.name]["median"][3:5])
     streaming, windowed = inference(model)
     timings = growth(load(folder / "pi_tcn.pt"))
     if not (arguments.no_page or arguments.quick):

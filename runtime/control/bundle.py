@@ -4,8 +4,8 @@ A bundle is code. It runs where the user has approved its manifest, and with tha
 by exporting it here, or with `alula trust BUNDLE` (`dynamics.trust`).
 
 `alula export` writes bundles. A bundle flies without CasADi and without a compiler: what its kernel must be told of the
-vehicle stands in the manifest, and HPIPM is in the folder. A folder with a vehicle file alone is a bundle of that
-file's model, compiled before it flies.
+vehicle stands in the manifest. A folder with a vehicle file alone is a bundle of that file's model, compiled before it
+flies.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from dynamics.vehicle_file import vehicle_text as read_vehicle_text
 from runtime.control.kernel_model import FlownModel, KernelFacts, KernelModel
-from runtime.control.rti.hpipm import HPIPM, libraries_in
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS
 
-FORMAT, VERSION = "alula bundle", 4
+FORMAT, VERSION = "alula bundle", 5
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
 LAST_LAYER = "last_layer.npz"  # what a network's last layer was trained on, where it may follow in flight
@@ -112,6 +111,13 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     version: int = VERSION
 
 
+class _Head(msgspec.Struct, frozen=True):
+    """The fields of a manifest by which one of another version is refused, whatever else that version lists."""
+
+    format: str = FORMAT
+    version: int = VERSION
+
+
 def with_digest(manifest: Manifest) -> Manifest:
     """The manifest with its digest, which reveals a later edit."""
     rest = msgspec.json.encode(msgspec.structs.replace(manifest, digest=""))
@@ -163,8 +169,7 @@ def read_bundle(folder: Path) -> Bundle:
     """
     manifest, sha256 = _read_manifest(folder / MANIFEST)
     _require_files(folder, manifest)
-    libraries = [path.name for path in libraries_in(folder) or (Path(HPIPM),)]
-    for name in (VEHICLE, KERNEL, *libraries, *([PHYSICS] if manifest.learned else [])):
+    for name in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
         if name not in manifest.files:
             raise RequestError(f"{folder / MANIFEST} lists no {name}: it was edited. Export the model again.")
     if manifest.filtered_inputs:
@@ -249,6 +254,9 @@ def _read_manifest(path: Path) -> tuple[Manifest, str]:
     """A manifest and its sha256. Raises RequestError for a damaged one, or of another version."""
     try:
         content = path.read_bytes()
+        head = decode_json(content, _Head)
+        if (head.format, head.version) != (FORMAT, VERSION):
+            raise RequestError(f"{path} is {head.format} {head.version}, required is {FORMAT} {VERSION}. Export again.")
         manifest = parse_manifest(content)
     except OSError as error:
         raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
@@ -256,10 +264,6 @@ def _read_manifest(path: Path) -> tuple[Manifest, str]:
         raise RequestError(
             f"{path} is damaged or of another alula: {described(error)}. Export the model again."
         ) from None
-    if manifest.format != FORMAT or manifest.version != VERSION:
-        raise RequestError(
-            f"{path} is {manifest.format} {manifest.version}, required is {FORMAT} {VERSION}. Export again."
-        )
     return manifest, hashlib.sha256(content).hexdigest()
 
 

@@ -1,25 +1,22 @@
-"""Compiled controllers: compiler, cache folder, instruction set, and the linear algebra behind bounds on states."""
+"""Compiled controllers: compiler, cache folder, and instruction set."""
 
 from __future__ import annotations
 
-import ctypes
 import os
 import subprocess
 import tempfile
 import time
-from pathlib import Path
 
 from dynamics import symbolic
 from dynamics.codegen import FLAGS, build_library, cache_folder, find_compiler, has_compiler, require_own_folder
 from dynamics.errors import RequestError
 from dynamics.trust import load_own_library
 from runtime.control.bundle import Bundle
-from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.prebuilt import FOLDER
 from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.machine.check import Check
 
-COMPILER, CACHE, SIMD, BLASFEO = "compiler", "cache folder", "SIMD", "BLASFEO"
+COMPILER, CACHE, SIMD = "compiler", "cache folder", "SIMD"
 NOT_NEEDED = "not needed: the bundle brings its compiled controller"
 TRIAL = "int alula_trial(int x) { return x + 1; }\n"
 
@@ -93,17 +90,3 @@ def check_simd(bundle: Bundle | None) -> Check:
     if built.vector < processor.vector and bundle is not None:
         return Check(SIMD, "warning", measured, f"export again with --processor {processor.name}, which this one has")
     return Check(SIMD, "ok", measured)
-
-
-def check_blasfeo() -> Check:
-    """The flavour of BLASFEO that HPIPM uses, which solves the problems in which bounds on states or thrust act."""
-    try:
-        path: Path = find_hpipm().blasfeo
-        text = ctypes.create_string_buffer(256)
-        load_own_library(path).blasfeo_processor_library_string(text)
-    except (RequestError, OSError, AttributeError) as error:
-        return Check(BLASFEO, "warning", f"its flavour is unknown: {error}", "install casadi >= 3.7 from PyPI")
-    if flavour := text.value.decode(errors="replace").strip():
-        return Check(BLASFEO, "ok", f"for processors with {flavour} ({path})")
-    measured = f"generic ({path}): while bounds on states act the solver takes longer than with one for this processor"
-    return Check(BLASFEO, "ok", measured, "optional: name a build for this processor in ALULA_HPIPM, such as acados'")

@@ -48,8 +48,6 @@ def check_machine(
     else:
         checks += [Check(name, "ok", kernels.NOT_NEEDED) for name in (kernels.COMPILER, kernels.CACHE)]
     checks.append(kernels.check_simd(exported))
-    if exported is None and symbolic.is_installed():
-        checks.append(kernels.check_blasfeo())
     realtime = scheduling.check_realtime(priority)
     checks += [
         realtime,

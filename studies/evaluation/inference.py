@@ -96,7 +96,7 @@ def _onnx_call(model: TrainedModel, data: LabelledRows) -> Callable[[], object]:
 
 def _kernel_call(model: TrainedModel, data: LabelledRows) -> tuple[Callable[[], object], int]:
     """The compiled kernel along a flight's columns. Raises RequestError without a compiler or for other models."""
-    from export.kernel import kernel_solver  # with HPIPM and the runtime, which nothing else here needs
+    from export.kernel import kernel_solver  # with the runtime, which nothing else here needs
     from runtime.control.rti.problem import Problem
     from runtime.control.rti.processor import native_processor
 

@@ -15,7 +15,6 @@ NAMES = {
     "compiler",
     "cache folder",
     "SIMD",
-    "BLASFEO",
     "real-time scheduling",
     "autogroup",
     "memory lock",

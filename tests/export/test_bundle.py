@@ -2,9 +2,9 @@
 
 import hashlib
 import json
+import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,28 +17,24 @@ import torch
 
 import alula
 from dynamics import trust
-from dynamics.codegen import build_library, find_compiler
+from dynamics.codegen import find_compiler
 from dynamics.errors import DataError, RequestError
 from dynamics.model import build_model
 from dynamics.trust import approve_here
 from dynamics.vehicle import Vehicle
 from export.bundle import Exported, ExportOptions, export_bundle
-from export.kernel import ENTRY, kernel_recipe
 from export.onnx_file import OPSET
 from export.parity import Comparison, Parity
-from export.toolchain import toolchain_for
 from export.trained import exported, read_model
 from runtime.control.bundle import MANIFEST, parse_manifest, read_bundle, with_digest
-from runtime.control.rti.hpipm import find_hpipm, load_kernel
+from runtime.control.rti.loading import load_kernel
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.control.rti.solver import RtiSolver
 from tests.export.conftest import SHORT
-from tests.support.networks import random_network
 from tests.support.trained import replaced, untrained_model
 from training.checkpoint import save
 from training.models import KINDS
-from vehicles import FOLDER
 
 EXPORT = Callable[[str], Exported]
 
@@ -149,14 +145,23 @@ def test_an_edited_manifest_is_refused(
         read_bundle(folder)
 
 
-def test_two_builds_of_hpipm_are_not_mixed_in_a_process(bundle_folder: Path, tmp_path: Path) -> None:
-    bundle = read_bundle(bundle_folder)
-    RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
+def test_a_bundle_of_an_older_alula_is_refused_by_its_version(bundle_folder: Path, tmp_path: Path) -> None:
     folder = copied(bundle_folder, tmp_path)
-    with (folder / "libhpipm.so").open("ab") as file:
-        file.write(b"another version")
-    with pytest.raises(RequestError, match=r"another build than .*processes of their own"):
-        RtiSolver(bundle.model, bundle.manifest.problem, folder / "kernel.so")
+    manifest = json.loads((folder / "manifest.json").read_text()) | {"version": 4}
+    manifest["problem"]["row_iterations"] = 50
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RequestError, match=r"is alula bundle 4, required is alula bundle 5\. Export again"):
+        read_bundle(folder)
+
+
+def test_a_kernel_needs_no_library_but_the_c_librarys(bundle_folder: Path) -> None:
+    assert {path.name for path in bundle_folder.glob("*.so*")} == {"kernel.so", "physics.so"}
+    for name in ("kernel.so", "physics.so"):
+        read = subprocess.run(["readelf", "-d", name], cwd=bundle_folder, check=True, capture_output=True, text=True)
+        needed = set(re.findall(r"\(NEEDED\).*\[(.*)\]", read.stdout))
+        assert {library for library in needed if not library.startswith("ld-linux")} <= {"libc.so.6", "libm.so.6"}
+        assert "RPATH" not in read.stdout
+        assert "RUNPATH" not in read.stdout
 
 
 def test_a_bundle_of_another_machine_is_refused_until_it_is_approved(
@@ -314,27 +319,6 @@ def test_without_a_compiler_it_says_what_to_install(
         export_bundle(model, tmp_path / "b", ExportOptions(Problem(), PROCESSORS["sse2"]))
 
 
-def test_a_kernel_finds_hpipm_where_it_lies_here(arpl_250g: Vehicle) -> None:
-    """A bundle from another machine remembers that machine's folders."""
-    recipe = kernel_recipe(
-        random_network(channels=(), dilations=(), hidden=(8,)),
-        build_model(arpl_250g, effects=()),
-        Problem(nodes=2, horizon=0.02),
-        native_processor(),
-    )
-    hpipm = find_hpipm()
-    flags = (*recipe.flags, *hpipm.compiler_flags)
-    library = build_library(recipe.sources, flags=flags, libraries=(str(hpipm.hpipm), str(hpipm.blasfeo)), entry=ENTRY)
-    script = (
-        "import sys; from pathlib import Path; from dynamics.model import build_model\n"
-        "from dynamics.vehicle_file import read_vehicle; from runtime.control.rti.problem import Problem\n"
-        "from runtime.control.rti.solver import RtiSolver\n"
-        "model = build_model(read_vehicle(sys.argv[1]), effects=())\n"
-        "RtiSolver(model, Problem(nodes=2, horizon=0.02), Path(sys.argv[2]))\n"
-    )
-    subprocess.run([sys.executable, "-c", script, str(FOLDER / "arpl_250g.toml"), str(library)], check=True)
-
-
 def test_a_kernel_that_cannot_be_loaded_is_refused(lagging: Vehicle, tmp_path: Path) -> None:
     (tmp_path / "kernel.so").write_bytes(b"no library")
     approve_here([("library", hashlib.sha256(b"no library").hexdigest())])
@@ -350,14 +334,3 @@ def test_without_a_cross_compiler_it_says_what_to_install(
     model = exported(untrained_model(KINDS["nominal"].config, lagging))
     with pytest.raises(RequestError, match=r"install Debian's gcc-|that Alula does not know"):
         export_bundle(model, tmp_path / "b", ExportOptions(Problem(), machine))
-
-
-def test_hpipm_for_another_machine_that_cannot_be_fetched_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("export.toolchain.shutil.which", lambda name: f"/usr/bin/{name}")
-    monkeypatch.setattr("export.toolchain.platform.machine", lambda: "x86_64")
-    monkeypatch.setenv("ALULA_CACHE", str(tmp_path))
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-    with pytest.raises(RequestError, match=r"HPIPM for aarch64 could not be fetched.*ALULA_HPIPM_AARCH64"):
-        toolchain_for(PROCESSORS["neon"])

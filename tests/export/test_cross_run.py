@@ -5,16 +5,14 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from dynamics.arrays import Floats
 from dynamics.model import Model, build_model
-from dynamics.vehicle import Limits, Vehicle
+from dynamics.vehicle import Vehicle
 from export.kernel import kernel_recipe, kernel_solver
 from export.network import Network
-from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.control.rti.solver import RtiSolver
@@ -60,30 +58,15 @@ def recorded_cases(solver: RtiSolver, ticks: tuple[int, ...]) -> list[Case]:
 
 
 def build_program(network: Network, model: Model, folder: Path) -> Path:
-    """The kernel as a program without HPIPM, whose functions do nothing, but whose solver must not be asked."""
+    """The kernel as a program of its own."""
     recipe = kernel_recipe(network, model, PROBLEM, PROCESSORS["neon"])
     for name, text in recipe.sources.items():
         (folder / name).write_text(text)
     (folder / "program.c").write_text(PROGRAM.read_text())
-    flags = [flag for flag in (*recipe.flags, *find_hpipm().compiler_flags) if flag not in ("-shared", "-fPIC")]
-
-    def run(*command: str) -> str:
-        return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
-
+    flags = [flag for flag in recipe.flags if flag not in ("-shared", "-fPIC")]
     assert COMPILER is not None
-    run(COMPILER, *flags, "-c", "program.c", "-o", "program.o")
-    missing = run("aarch64-linux-gnu-nm", "--undefined-only", "program.o").split()
-    stands = {name: "absent" for name in missing if name.startswith(("d_dense_qp", "blasfeo"))}
-    stands["d_dense_qp_ipm_solve"] = "solved"
-    run(
-        COMPILER,
-        "-static",
-        "program.o",
-        *(f"-Wl,--defsym={name}={by}" for name, by in stands.items()),
-        "-lm",
-        "-o",
-        "program",
-    )
+    command = [COMPILER, *flags, "-static", "program.c", "-lm", "-o", "program"]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
     return folder / "program"
 
 
@@ -104,8 +87,7 @@ def answers_of(program: Path, model: Model, case: Case) -> tuple[Floats, ...]:
 @pytest.mark.skipif(COMPILER is None, reason="no aarch64-linux-gnu-gcc; Debian: gcc-aarch64-linux-gnu")
 @pytest.mark.skipif(EMULATOR is None, reason="no qemu-aarch64; Debian: qemu-user")
 def test_the_kernel_answers_on_aarch64_as_the_double_one_does_here(tmp_path: Path, arpl_250g: Vehicle) -> None:
-    vehicle = msgspec.structs.replace(arpl_250g, limits=Limits(rate=(1e3,) * 3))  # without soft rows, which are HPIPM's
-    network, model = random_network(residual=True), build_model(vehicle, effects=[])
+    network, model = random_network(residual=True), build_model(arpl_250g, effects=[])
     cases = recorded_cases(kernel_solver(network, model, PROBLEM, native_processor(), "double"), (0, 3, 20, 90))
     assert {case.acting for case in cases} == {True, False}
     program = build_program(network, model, tmp_path)
@@ -114,4 +96,4 @@ def test_the_kernel_answers_on_aarch64_as_the_double_one_does_here(tmp_path: Pat
         np.testing.assert_allclose(states, case.answers[0], rtol=0, atol=2e-5)
         np.testing.assert_allclose(hessian, case.answers[1], rtol=0, atol=2e-4 * np.abs(case.answers[1]).max())
         np.testing.assert_allclose(gradient, case.answers[2], rtol=0, atol=2e-4 * np.abs(case.answers[2]).max())
-        np.testing.assert_allclose(inputs, case.answers[3], rtol=0, atol=1e-3 * vehicle.hover_speed)
+        np.testing.assert_allclose(inputs, case.answers[3], rtol=0, atol=1e-3 * arpl_250g.hover_speed)

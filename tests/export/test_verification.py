@@ -14,7 +14,7 @@ from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
 from export.bundle import Exported, ExportOptions, export_bundle
-from export.toolchain import toolchain_for
+from export.compiler import compiler_for
 from export.trained import exported, read_model
 from runtime.control.bundle import parse_manifest
 from runtime.control.kernel_model import KernelModel
@@ -68,9 +68,9 @@ def test_a_computer_that_is_too_slow_is_said() -> None:
 
 @pytest.fixture(scope="module")
 def foreign(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Bundles for aarch64 of the paper's vehicle, whose limits make HPIPM solve, and of a small network on it."""
+    """Bundles for aarch64 of the paper's vehicle, whose limits are soft rows, and of a small network on it."""
     try:
-        toolchain_for(PROCESSORS["neon"])
+        compiler_for(PROCESSORS["neon"])
     except RequestError as error:
         pytest.skip(str(error))
     folder = tmp_path_factory.mktemp("foreign")
@@ -96,8 +96,8 @@ def test_a_cross_compiled_bundle_answers_on_its_processor_as_at_its_export(
 ) -> None:
     bundle = foreign(kind)
     program = tmp_path / "program"
-    link = [str(bundle / "kernel.so"), f"-Wl,-rpath-link,{bundle}", f"-Wl,-rpath,{bundle}", "-o", str(program)]
-    compiler = toolchain_for(PROCESSORS["neon"]).compiler
+    link = [str(bundle / "kernel.so"), f"-Wl,-rpath,{bundle}", "-o", str(program)]
+    compiler = compiler_for(PROCESSORS["neon"])
     subprocess.run([compiler, "-O1", str(PROGRAM), *link], check=True)
     manifest = parse_manifest((bundle / "manifest.json").read_bytes())
     options = fill_options(SHORT, KernelModel.of(arpl_250g, manifest.kernel_facts))

@@ -21,7 +21,6 @@ from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.flight_filter import FlightFilter
 from runtime.control.followed_parameters import followed_parameters
 from runtime.control.rti.compilation import solver_recipe
-from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.processor import native_processor
 from runtime.control.rti.solver import RtiSolver
@@ -84,11 +83,9 @@ def _program(folder: Path, sources: Mapping[str, str], flags: Sequence[str], ent
     for name, text in sources.items():
         (folder / name).write_text(text)
     shutil.copy(HERE / "kernel_driver.c", folder)
-    hpipm = find_hpipm()
     others = [flag for flag in flags if not flag.startswith(("-O", "-shared", "-fPIC"))]
     defines = [f'-DKERNEL="{entry}"', f"-DLEARNED={int(learned)}"]
-    libraries = [*hpipm.linker_flags, f"-Wl,-rpath-link,{hpipm.hpipm.parent}", "-lm"]
-    return compiled(folder, "kernel_driver.c", (*others, *defines, *hpipm.compiler_flags), libraries)
+    return compiled(folder, "kernel_driver.c", (*others, *defines), ["-lm"])
 
 
 def compiled(folder: Path, source: str, flags: Sequence[str], libraries: Sequence[str]) -> Path:

@@ -1,5 +1,5 @@
-/* Repeats a recorded tick with a bundle's kernel.so as it was exported, HPIPM from the bundle beside it: for a processor
- * that only an emulator has. Reads options and arguments, writes states, Hessian, gradient and new inputs. */
+/* Repeats a recorded tick with a bundle's kernel.so as it was exported, in a program: for a processor that
+ * only an emulator has. Reads options and arguments, writes states, Hessian, gradient and new inputs. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,1 +1,1 @@
-"""The real-time-iteration solver: CasADi model code and a C kernel over HPIPM, behind one foreign call a phase."""
+"""The real-time-iteration solver: CasADi model code and a C kernel, behind one foreign call a phase."""

@@ -11,7 +11,6 @@ from dynamics.codegen import FLAGS, build_library, generate_c
 from dynamics.effect import Expression
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
-from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor, native_processor
 from runtime.control.rti.state_header import STATE_HEADER, state_header
@@ -24,8 +23,7 @@ SHARED = ("condensed.h", "box_qp.h", "box_factor.h", "flight_filter.h")  # with 
 def build_solver(model: Model, problem: Problem) -> Path:
     """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
     sources, flags = solver_recipe(model, problem, None)
-    hpipm = find_hpipm()
-    return build_library(sources, flags=(*flags, *hpipm.compiler_flags), libraries=hpipm.linker_flags, entry=ENTRY)
+    return build_library(sources, flags=flags, entry=ENTRY)
 
 
 def solver_recipe(

@@ -16,7 +16,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
 from runtime.control.kernel_model import FlownModel, trim_of
-from runtime.control.rti.hpipm import load_kernel
+from runtime.control.rti.loading import load_kernel
 from runtime.control.rti.prebuilt import solver_library
 from runtime.control.rti.problem import Problem, fill_options
 

@@ -34,7 +34,6 @@ from runtime.control.bundle import (
 from runtime.control.bundle import VERSION as BUNDLE_VERSION
 from runtime.control.kernel_model import kernel_facts
 from runtime.control.network_features import last_layer_file, read_features
-from runtime.control.rti.hpipm import BLASFEO, HPIPM
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
 from runtime.control.verification import read_ticks
@@ -95,8 +94,7 @@ def _bundle(_: Path) -> list[Parts]:
         processor=native_processor().name, precision="double", files={}, command="alula export", date="2026-01-01",
         versions={}, provenance={}, notes=("a note",), format=FORMAT, version=BUNDLE_VERSION,
     )  # fmt: skip
-    libraries = dict.fromkeys((KERNEL, HPIPM, BLASFEO[0]), b"no code")
-    return [{MANIFEST: msgspec.json.encode(manifest), VEHICLE: vehicle_toml(vehicle).encode(), **libraries}]
+    return [{MANIFEST: msgspec.json.encode(manifest), VEHICLE: vehicle_toml(vehicle).encode(), KERNEL: b"no code"}]
 
 
 def _sealed(parts: Parts, folder: Path) -> Path:
