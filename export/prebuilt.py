@@ -58,7 +58,7 @@ def build_prebuilt(machine: str, folder: Path) -> list[Path]:
             made.append(path)
             facts[facts_key(vehicle)] = kernel_facts(model)
     (folder / FACTS).write_bytes(msgspec.json.encode(facts))
-    return [*made, folder / FACTS]
+    return [*dict.fromkeys(made), folder / FACTS]
 
 
 def _vehicles() -> Iterator[Vehicle]:
