@@ -36,6 +36,7 @@ from runtime.record.records import (
 # events of the link that are events of the flight; all others are published and have no consequence
 LINK_EVENTS: Mapping[str, Event] = {
     "estimate_not_finite": Event.INPUT_NOT_FINITE,
+    "estimate_out_of_range": Event.INPUT_NOT_FINITE,
     "estimate_frame_refused": Event.INPUT_NOT_FINITE,
     "estimate_time_backwards": Event.CLOCK_BACKWARDS,
     "clock_ran_backwards": Event.CLOCK_BACKWARDS,

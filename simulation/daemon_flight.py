@@ -58,6 +58,7 @@ COMMANDS: Mapping[AutopilotRequest, tuple[int, tuple[float, ...]]] = {
     AutopilotRequest.DISARM: arming_command(False),
 }
 Announce = Callable[[str], None]
+Watch = Callable[["SimulatedFlight"], None]
 
 
 def fly_in_simulated_time(flight: PreparedFlight, mock: MockOptions, announce: Announce) -> FlightReport:
@@ -69,7 +70,7 @@ def fly_in_simulated_time(flight: PreparedFlight, mock: MockOptions, announce: A
         recorder = _open_recorder(flight)
         if recorder is not None:
             stack.callback(recorder.close)
-        return _SimulatedFlight(flight, mock, announce, recorder).fly()
+        return SimulatedFlight(flight, mock, announce, recorder).fly()
 
 
 def _open_recorder(flight: PreparedFlight) -> Recorder | None:
@@ -92,38 +93,63 @@ def _open_recorder(flight: PreparedFlight) -> Recorder | None:
         ) from None
 
 
-class _SimulatedFlight:
-    def __init__(self, flight: PreparedFlight, mock: MockOptions, announce: Announce, recorder: Recorder | None):
-        self._flight, self._recorder, self._publish_line = flight, recorder, announce
+class SimulatedFlight:
+    """A flight of the daemon's parts, tick by tick.
+
+    autopilot, link, flyer, control: the parts, for those who watch; the last two from the first tick on.
+    """
+
+    flyer: Flyer
+    control: ControlThread
+    _schedule: Schedule
+
+    def __init__(
+        self,
+        flight: PreparedFlight,
+        mock: MockOptions,
+        announce: Announce,
+        recorder: Recorder | None = None,
+        watch: Watch | None = None,
+    ) -> None:
+        """watch: called before each tick; it may let time pass on the link, as a computer that stands still does."""
+        self._flight, self._recorder, self._publish_line, self._watch = flight, recorder, announce, watch
         self._telemetry = TelemetryBuffer(recorder)
-        self._link = LockstepLink(build_autopilot(mock), self._telemetry.callbacks)
-        self._began = self._link.now
+        self.autopilot = build_autopilot(mock)
+        self.link = LockstepLink(self.autopilot, self._telemetry.callbacks)
+        self._began = self.link.now
         self._requests = Requests()
         self._supervised = -float("inf")
 
     def _announce(self, text: str) -> None:
-        self._publish_line(f"{self._link.now - self._began:8.2f} s  {text}")
+        self._publish_line(f"{self.link.now - self._began:8.2f} s  {text}")
 
     def fly(self) -> FlightReport:
-        link, request = self._link, self._flight.request
-        flyer = self._prepare()
-        control = ControlThread(
+        """Fly to the end. Raises VehicleError when the vehicle cannot be engaged, RequestError for what cannot fly."""
+        link, request = self.link, self._flight.request
+        self.flyer = self._prepare()
+        self.control = ControlThread(
             link,
             self._telemetry,
-            flyer,
+            self.flyer,
             self._requests,
             period=1.0 / request.rate,
             recorder=self._recorder,
             clock=link.clock,
         )
         self._requests.engage = True
-        self._fly_ticks(flyer, control)
-        self._publish(control)
-        return self._report(flyer, control)
+        self._fly_ticks()
+        self._publish(self.control)
+        return self._report(self.flyer, self.control)
+
+    def go_on(self, seconds: float) -> None:
+        """Go on with the ticks of a flight that is over."""
+        end = self.link.now + seconds
+        while self.link.now < end:
+            self._tick()
 
     def _prepare(self) -> Flyer:
         """Request streams, read the autopilot's parameters and build what flies."""
-        link, flight = self._link, self._flight
+        link, flight = self.link, self._flight
         request, announce = flight.request, self._announce
         status = link.wait_for_vehicle(VEHICLE_PATIENCE)
         announce(f"vehicle {status.system}: {status.kind} with {status.autopilot}, mode {status.mode}, simulated")
@@ -148,28 +174,34 @@ class _SimulatedFlight:
             raise RequestError(refusal)
         return build_flyer(controllers, flight.reference, request.plan, request.flyer_settings, thrust_curve=curve)
 
-    def _fly_ticks(self, flyer: Flyer, control: ControlThread) -> None:
+    def _fly_ticks(self) -> None:
         """Ticks as the control thread's, each by an estimate or by the clock, until the flight is over."""
-        link, request = self._link, self._flight.request
+        link, request = self.link, self._flight.request
         start = link.now
         limit = start + FURTHER + self._flight.reference.duration
-        schedule, estimate = Schedule(1.0 / request.rate, start=start), link.estimate
-        while not flyer.over:
-            self._supervise(flyer, control, start)
-            schedule.estimates_keep_up = self._requests.estimates_keep_up
-            newest, latest = link.wait_for_estimate(estimate, schedule.latest), schedule.latest
-            if newest is not None:
-                estimate = newest
-                if not schedule.is_due(newest.received):
-                    continue
-            by_clock = newest is None
-            schedule.ticked(latest if newest is None else newest.received, link.now, by_clock=by_clock)
-            control.tick(estimate, link.now, by_clock=by_clock)
-            self._pass_on(control)
+        self._schedule, self._estimate = Schedule(1.0 / request.rate, start=start), link.estimate
+        while not self.flyer.over:
+            self._supervise(self.flyer, self.control, start)
+            self._tick()
             if link.now > limit:
                 self._requests.stop = True
                 self._announce(f"not over after {limit - start:.0f} s")
                 break
+
+    def _tick(self) -> None:
+        link, schedule = self.link, self._schedule
+        if self._watch is not None:
+            self._watch(self)
+        schedule.estimates_keep_up = self._requests.estimates_keep_up
+        newest, latest = link.wait_for_estimate(self._estimate, schedule.latest), schedule.latest
+        if newest is not None:
+            self._estimate = newest
+            if not schedule.is_due(newest.received):
+                return
+        by_clock = newest is None
+        schedule.ticked(latest if newest is None else newest.received, link.now, by_clock=by_clock)
+        self.control.tick(self._estimate, link.now, by_clock=by_clock)
+        self._pass_on(self.control)
 
     def _pass_on(self, control: ControlThread) -> None:
         """Send the newest of the flight logic's requests as a command; the flight logic repeats what is still open."""
@@ -178,10 +210,10 @@ class _SimulatedFlight:
             newest = control.autopilot_requests.get()
         if newest is not None:
             command, parameters = COMMANDS[newest]
-            self._link.send(command_message(self._link, command, 0, *parameters))
+            self.link.send(command_message(self.link, command, 0, *parameters))
 
     def _supervise(self, flyer: Flyer, control: ControlThread, start: float) -> None:
-        link, now = self._link, self._link.now
+        link, now = self.link, self.link.now
         if now - self._supervised < SUPERVISION_PERIOD:
             return
         self._supervised, rate = now, self._flight.request.rate
@@ -207,7 +239,7 @@ class _SimulatedFlight:
                     self._announce(f"{notification}")
 
     def _report(self, flyer: Flyer, control: ControlThread) -> FlightReport:
-        link, origin = self._link, flyer.mission.origin
+        link, origin = self.link, flyer.mission.origin
         landed, cut_short = flyer.landed and not link.status.armed, flyer.mission.landing_reason
         return FlightReport(
             outcome=flyer.engagement.refusal or "stopped streaming at once",

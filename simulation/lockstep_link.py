@@ -32,12 +32,14 @@ class LockstepLink:
     peer: the vehicle, as far as it was heard.
     estimate: the newest accepted one.
     now: simulated time, s.
+    sent: time, s, body rates, FLU, rad/s, and thrust, 0..1, of the newest setpoint, sent or refused; None before it.
     """
 
     def __init__(self, autopilot: Autopilot, callbacks: LinkCallbacks) -> None:
         self.peer = Peer()
         self.estimate: StateEstimate | None = None
         self.now = autopilot.time
+        self.sent: tuple[float, tuple[float, float, float], float] | None = None
         self._autopilot, self._callbacks = autopilot, callbacks
         self._wire = autopilot.add_link(COMPANION, "onboard")
         self._parser = FrameParser()
@@ -114,6 +116,7 @@ class LockstepLink:
 
     def send_rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> bool:
         """Send SET_ATTITUDE_TARGET with body rates, FLU, rad/s, and thrust, 0..1; refuses what is not finite."""
+        self.sent = (self.now, rate_body, thrust)
         if not (all(map(isfinite, rate_body)) and isfinite(thrust)):
             return False
         message = rate_setpoint_message(self.peer.address or (0, 0), rate_body, thrust, self.now)

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -139,6 +140,11 @@ def parse_scenario(text: str, rotor_count: int, *, catalogue: Mapping[str, Effec
         table = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}.") from error
+    return scenario_of(table, rotor_count, catalogue=catalogue)
+
+
+def scenario_of(table: dict[str, Any], rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Scenario:
+    """A scenario from the table of its file. Raises RequestError as `read_scenario`."""
     refuse_unknown_keys(table, Scenario)
     try:
         scenario = msgspec.convert(table, Scenario)

@@ -22,7 +22,7 @@ from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.rate_loop import rate_loop
-from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation import Adaptation
 from runtime.control.adaptation_settings import AdaptationSettings
@@ -367,6 +367,10 @@ class Controller:
         distance = math.sqrt(float(error @ error))
         if distance > self.options.max_position_error:
             reference[:, POSITION] -= (1 - self.options.max_position_error / distance) * error
+        if _thrust_is_opposed(expected[ATTITUDE], states[0, ATTITUDE]):
+            # thrust would only add to their errors: the plan would stop the rotors, whose torque has no slope at rest
+            for part in (POSITION, VELOCITY):
+                reference[:, part] = self.solver.states[:, part]
         self.solver.input_reference[:] = inputs * self._shares
         self.solver.prepare(expected)
 
@@ -439,6 +443,18 @@ class Controller:
         if self.adaptation is not None:
             self.adaptation.command(time, speed)
         self._ticks += 1
+
+
+def _thrust_is_opposed(attitude: Floats, reference: Floats) -> bool:
+    """Whether the thrust axes of two attitudes (4,) are more than a right angle apart."""
+    (x, y, z), (a, b, c) = _thrust_axis(attitude), _thrust_axis(reference)
+    return x * a + y * b + z * c < 0.0
+
+
+def _thrust_axis(attitude: Floats) -> tuple[float, float, float]:
+    """Body z in world axes, in plain numbers: NumPy takes ten times as long."""
+    w, x, y, z = attitude.tolist()
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
 def _features(bundle: Bundle | None, settings: AdaptationSettings) -> NetworkFeatures | None:

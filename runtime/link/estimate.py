@@ -18,6 +18,7 @@ Source = Literal["ODOMETRY", "LOCAL_POSITION_NED"]
 EstimateEvent = Literal[
     "estimate_frame_refused",
     "estimate_not_finite",
+    "estimate_out_of_range",
     "estimate_time_backwards",
     "estimate_jump",
     "estimate_moved",
@@ -96,6 +97,9 @@ class EstimateLimits(msgspec.Struct, frozen=True):
     max_acceleration: m/s^2.
     max_rate: rad/s.
     attitude_length: deviation of the quaternion's length from 1.
+    max_distance: m from the frame's origin, where the single precision of the wire resolves 8 mm and a plane tangent to
+        the earth lies 800 m above it; beyond it a reset does not make a position credible.
+    max_speed: m/s, likewise.
     moved_samples: consecutive jumps that agree with each other, after which they are accepted.
     overtaken: s by which a sample may be older than the one before, on a path that reorders; it is dropped.
     forgotten_after: s of silence after which nothing is compared.
@@ -108,6 +112,8 @@ class EstimateLimits(msgspec.Struct, frozen=True):
     max_acceleration: float = 80.0
     max_rate: float = 35.0
     attitude_length: float = 0.05
+    max_distance: float = 1e5
+    max_speed: float = 1e3
     moved_samples: int = 10
     overtaken: float = 0.1
     forgotten_after: float = 1.0
@@ -181,6 +187,8 @@ class EstimateMonitor:
             return EstimateCheck(
                 None, "estimate_not_finite", "The estimate holds NaN or infinity, or no unit quaternion."
             )
+        if text := self._out_of_range(values):
+            return EstimateCheck(None, "estimate_out_of_range", text)
         factor = 1.0 / length
         if latest is not None and _dot(values[ATTITUDE], latest.attitude.tolist()) < 0:
             factor = -factor
@@ -203,6 +211,15 @@ class EstimateMonitor:
         if (jump := self._jump(latest, estimate)) is None:
             return self._accept(estimate)
         return self._check_jump(estimate, latest, jump)
+
+    def _out_of_range(self, values: list[float]) -> str:
+        """The quantity that no vehicle of a local frame can have, empty where there is none."""
+        distance, speed = hypot(*values[POSITION]), hypot(*values[VELOCITY])
+        if distance > self._limits.max_distance:
+            return f"The estimated position is {distance:.3g} m from the origin, at most {self._limits.max_distance:g}."
+        if speed > self._limits.max_speed:
+            return f"The estimated speed is {speed:.3g} m/s, at most {self._limits.max_speed:g}."
+        return ""
 
     def _accept(self, estimate: StateEstimate) -> EstimateCheck:
         self.latest = estimate

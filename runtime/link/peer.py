@@ -151,17 +151,19 @@ class Peer:
                 return min(time, received), True
         return received, False
 
-    def _check_stamp(self, message: str, remote: float, received: float, reaction: Reaction) -> None:
-        """Report a stamp of an estimate that lies in the future: its age is not known, and none is made up for it."""
+    def _stamp_is_ahead(self, message: str, remote: float, received: float, reaction: Reaction) -> bool:
+        """Whether an estimate is stamped in the future: its age is not known, and none is made up for it."""
         if not self.clock.is_valid(received):
-            return
+            return False
         lead = self.clock.to_ours(remote) - received
-        if lead > _MAX_STAMP_AHEAD:
-            text = (
-                f"{message} is stamped {lead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: "
-                "its age is unknown. Look for a second autopilot with the same id, or restart the vehicle."
-            )
-            reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)
+        if lead <= _MAX_STAMP_AHEAD:
+            return False
+        text = (
+            f"{message} is stamped {lead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: its "
+            "age is unknown, it is not used. Look for a second autopilot with the same id, or restart the vehicle."
+        )
+        reaction.events += self.limit_event(received, "estimate_stamp_ahead", "warning", text)
+        return True
 
     def _discover(self, system: int, component: int, message: Message, received: float, reaction: Reaction) -> None:
         kind = telemetry.enum_name("MAV_TYPE", message.type, "MAV_TYPE_")
@@ -264,7 +266,8 @@ class Peer:
 
     def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
         self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
-        self._check_stamp("ODOMETRY", odometry.time, received, reaction)
+        if self._stamp_is_ahead("ODOMETRY", odometry.time, received, reaction):
+            return
         time, synchronised = self._synchronised(odometry.time, received)
         self._take(self.estimates.handle_odometry(odometry, time, received, synchronised), received, reaction)
 
@@ -272,10 +275,10 @@ class Peer:
         self.estimates.handle_local_position(message, self._time_of(message.time_boot_ms * 1e-3, received))
 
     def _handle_attitude(self, message: Message, received: float, reaction: Reaction) -> None:
-        time, synchronised = self._synchronised(message.time_boot_ms * 1e-3, received)
+        stamp = message.time_boot_ms * 1e-3
+        time, synchronised = self._synchronised(stamp, received)
         check = self.estimates.handle_attitude(message, time, received, synchronised)
-        if check is not None:
-            self._check_stamp("ATTITUDE_QUATERNION", message.time_boot_ms * 1e-3, received, reaction)
+        if check is not None and not self._stamp_is_ahead("ATTITUDE_QUATERNION", stamp, received, reaction):
             self._take(check, received, reaction)
 
     def _take(self, check: EstimateCheck, received: float, reaction: Reaction) -> None:

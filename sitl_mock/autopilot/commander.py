@@ -135,6 +135,13 @@ class Commander:
         self.terminated = True
         self.texts.append(("critical", "Flight termination active"))
 
+    def reboot(self) -> None:
+        """Begin again as after a boot: disarmed, in HOLD."""
+        if self.armed:
+            self._disarm("Rebooted")
+        self.mode = self.intended = self._after_disarming = Mode.HOLD
+        self.terminated = self._taken_off = False
+
     # time
 
     def update(self, time: float, *, landed: bool) -> None:

@@ -22,6 +22,9 @@ FaultKind = Literal[
     "estimate_nan",
     "estimate_freeze",
     "estimate_stop",
+    "estimate_move",
+    "stamps_ahead",
+    "reboot",
     "clock_jump",
     "link_down",
     "packet_loss",
@@ -49,9 +52,9 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at: when it begins, s after the event that `after` names.
     after: the mock's start, the arming, the take-off or the first contact with the ground after flight.
     duration: s, without end by default; an estimator reset and a clock jump happen at once.
-    shift: of an estimator reset, ENU, m.
-    yaw: of an estimator reset, about up, rad.
-    seconds: of a clock jump, negative for backwards; the longest delay of a frame by link_jitter.
+    shift: of an estimator reset or of an estimate that moves without one, ENU, m.
+    yaw: of both, about up, rad.
+    seconds: of a clock jump, negative for backwards; the longest delay of a frame by link_jitter; of stamps_ahead.
     probability: of a frame's loss, duplication or delay.
     rate: of a message flood, frames per second.
     setpoint: body rates, FLU, rad/s, and thrust, 0..1, that another controller sends 60 times a second.
@@ -157,6 +160,23 @@ def _stopped(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.estimate.stopped = begins
 
 
+def _moved(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    sign = 1.0 if begins else -1.0
+    targets.estimate.move(sign * np.array(fault.shift), sign * fault.yaw)
+
+
+def _stamp_early(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    targets.estimate.lead = abs(fault.seconds) if begins else 0.0
+
+
+def _reboot(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    """The motors stop and nothing passes; at the end the vehicle is disarmed, its clock and parameters as at a boot."""
+    _link_down(targets, fault, begins)
+    if begins:
+        targets.commander.reboot()
+        targets.clock.restart(targets.vehicle.time)
+
+
 def _clock_jump(targets: FaultTargets, fault: Fault, begins: bool) -> None:
     if begins:
         targets.clock.jump(fault.seconds)
@@ -228,6 +248,9 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "estimate_nan": _invalid,
     "estimate_freeze": _frozen,
     "estimate_stop": _stopped,
+    "estimate_move": _moved,
+    "stamps_ahead": _stamp_early,
+    "reboot": _reboot,
     "clock_jump": _clock_jump,
     "link_down": _link_down,
     "packet_loss": _loss,

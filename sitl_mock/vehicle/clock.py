@@ -43,6 +43,10 @@ class VehicleClock:
         """Set the clock forward (or, negative, back)."""
         self.jumped += seconds
 
+    def restart(self, time: float) -> None:
+        """Begin at 0 again at a simulated time, s."""
+        self.jumped = -self.uptime - time * (1.0 + self.drift)
+
 
 @dataclass(slots=True)
 class UnevenTime:

@@ -26,6 +26,7 @@ class EstimateFault:
     invalid: NaN instead of numbers.
     frozen: the estimate stays constant while its time stamps advance.
     stopped: no estimate is sent at all.
+    lead: s by which the estimate is stamped ahead of the vehicle's clock.
     gnss_glitch: ESTIMATOR_STATUS reports jumps of the GPS.
     has_position: whether EKF2 calls its horizontal position and velocity valid.
     """
@@ -36,6 +37,7 @@ class EstimateFault:
     invalid: bool = False
     frozen: bool = False
     stopped: bool = False
+    lead: float = 0.0
     gnss_glitch: bool = False
     has_position: bool = True
     _last_reported: MotionState | None = None
@@ -45,6 +47,11 @@ class EstimateFault:
         self.shift = self.shift + shift
         self.yaw += yaw
         self.reset_counter = (self.reset_counter + 1) % 256
+
+    def move(self, shift: Floats, yaw: float) -> None:
+        """Move the estimate without a word: the counter stays."""
+        self.shift = self.shift + shift
+        self.yaw += yaw
 
     def watch_position(self, has_position: bool) -> None:
         """Note whether the estimator has a position; its return is a reset."""

@@ -135,7 +135,7 @@ class Snapshot:
     @cached_property
     def estimate_time(self) -> float:
         """Vehicle time at which the estimate held, s."""
-        return self._clock.at(self._estimate.time)
+        return self._clock.at(self._estimate.time) + self._fault.lead
 
     @cached_property
     def imu(self) -> tuple[int, list[float], list[float]]:

@@ -1,9 +1,12 @@
 """The controller compensates delay with its model, commands what it predicts, and survives bad input."""
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
 
+from dynamics import quaternion
 from dynamics.model import build_model
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse, Vehicle
@@ -169,6 +172,28 @@ def test_a_reference_far_away_is_approached_and_not_blown_up(arpl_250g: Vehicle)
     assert min(tilts) > 0  # never beyond 90 degrees
     assert truth[0] > 15
     assert abs(truth[1]) < 0.5
+
+
+@pytest.mark.parametrize("degrees", [150.0, 178.0, 180.0, -178.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_start_upside_down_turns_upright_and_comes_back(arpl_250g: Vehicle, axis: int, degrees: float) -> None:
+    """There thrust adds to the error of position, and rotors that stand still have no slope by which to turn."""
+    controller = hovering(arpl_250g)
+    angles = [0.0, 0.0, 0.0]
+    angles[axis] = math.radians(degrees)
+    state = HOVER.copy()
+    state[6:10] = quaternion.from_euler(*angles)
+    controller.reset(state, 0.0)
+    reference, speeds = np.tile(HOVER, (21, 1)), np.full((20, 4), arpl_250g.hover_speed)
+    controller.prepare(reference, speeds)
+    lowest = state[2]
+    for tick in range(200):
+        command = controller.feedback(controller.compensate(state, 0.01 * tick, 0.01 * tick), 0.01 * tick)
+        state = controller.solver.propagate(state, command.rotor_speed, 0.01).copy()
+        controller.prepare(reference, speeds)
+        lowest = min(lowest, state[2])
+    assert quaternion.rotate(state[6:10], np.array([0.0, 0.0, 1.0]))[2] > 0.99
+    assert lowest > HOVER[2] - 3.0
 
 
 def test_the_other_sign_of_the_quaternion_is_the_same_attitude(arpl_250g: Vehicle) -> None:

@@ -105,6 +105,19 @@ def test_what_is_not_finite_is_refused(monitor: EstimateMonitor, field: str, val
     assert accepted(feed(monitor, 1.02)).time == 1.02
 
 
+@pytest.mark.parametrize("counter", [7, 8])
+@pytest.mark.parametrize("field", ["x", "z", "vy"])
+def test_what_no_vehicle_can_have_is_refused_however_long_it_lasts(
+    monitor: EstimateMonitor, field: str, counter: int
+) -> None:
+    """A counted reset and a lasting jump make a position credible that a local frame can hold, and no other."""
+    feed(monitor, 1.0, reset_counter=7)
+    for tick in range(30):
+        check = feed(monitor, 1.01 + 0.01 * tick, reset_counter=counter, **{field: 1e30})
+        assert (check.estimate, check.step, check.event) == (None, None, "estimate_out_of_range")
+    assert accepted(feed(monitor, 1.5, reset_counter=7)).time == 1.5
+
+
 @pytest.mark.parametrize("attitude", [[0.0] * 4, [float("nan"), 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]])
 def test_what_is_no_rotation_is_refused(monitor: EstimateMonitor, attitude: list[float]) -> None:
     assert feed(monitor, 1.0, q=attitude).event == "estimate_not_finite"

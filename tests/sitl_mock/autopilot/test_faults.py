@@ -32,6 +32,37 @@ def test_an_estimator_reset_jumps_and_counts() -> None:
     assert after.reset_counter == before.reset_counter + 1
 
 
+def test_an_estimate_moves_without_a_word_and_back() -> None:
+    bench = bench_with("estimate_move", shift=(2.0, 0.0, 0.0), duration=0.5)
+    before, during, after = messages_of(bench, 0.9)[-1], messages_of(bench, 0.3)[-1], messages_of(bench, 0.5)[-1]
+    assert during.y - before.y == pytest.approx(2.0, abs=0.2)
+    assert after.y - before.y == pytest.approx(0.0, abs=0.2)
+    assert before.reset_counter == during.reset_counter == after.reset_counter
+
+
+def test_estimates_are_stamped_ahead_of_the_clock() -> None:
+    bench = bench_with("stamps_ahead", seconds=3.0, duration=0.5)
+    bench.run(1.2)
+    lead = 1e-6 * (bench.of("ODOMETRY")[-1].time_usec - bench.of("HIGHRES_IMU")[-1].time_usec)
+    assert lead == pytest.approx(3.0, abs=0.1)
+    bench.run(0.5)
+    lead = 1e-6 * (bench.of("ODOMETRY")[-1].time_usec - bench.of("HIGHRES_IMU")[-1].time_usec)
+    assert lead == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_reboot_disarms_silences_the_link_and_starts_the_clock_again() -> None:
+    bench = bench_with("reboot", duration=1.0)
+    bench.run(0.8)
+    assert bench.request(ARM, 1) == 0
+    bench.run(0.4)
+    assert not bench.mock.commander.armed
+    heard = len(bench.heard)
+    bench.run(0.3)
+    assert len(bench.heard) == heard
+    bench.run(1.5)
+    assert bench.of("HIGHRES_IMU")[-1].time_usec < 2.5e6
+
+
 def test_an_estimate_turns_to_nan_and_comes_back() -> None:
     bench = bench_with("estimate_nan", duration=1.0)
     bench.run(1.1)
