@@ -10,6 +10,7 @@
 # make verdict  the judge of diagnosis: cases with a known truth, a line of scores a set, under an hour on two cores
 #             (ALULA_RECORDINGS=FOLDER with flights of PX4 and RotorPy); part of study
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
+# make study-faults  planned faults in flight (fixtures/fault_cases) by 5 seeds and 4 models; part of study, resumes
 # make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
 # make wheel  wheels for the flight computer, with compiled controllers of the bundled vehicles: dist/
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
@@ -32,7 +33,7 @@ UV ?= uv
 STUDIES := $(filter-out benchmarks/__main__.py,$(shell grep -l '^if __name__ == "__main__"' benchmarks/*.py))
 MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test test-all kernels lint docs study verdict study-public wheel fuzz licences conformance clean $(STUDIES)
+.PHONY: demo hour test test-all kernels lint docs study verdict study-public study-faults wheel fuzz licences conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -73,6 +74,9 @@ study-public: .venv/workbench.stamp
 
 conformance: .venv/development.stamp
 	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance
+
+study-faults: .venv/workbench.stamp
+	$(BIN)/python -m benchmarks faults study --jobs 2
 
 wheel: .venv/workbench.stamp
 	bash .ci/wheels dist $(MACHINES)

@@ -98,6 +98,14 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--flights", "2", "--udp", "0", *NOT_KEPT),
         ),
     },
+    "faults": {
+        "study": Measurement(
+            "benchmarks.faults:study",
+            ("faults",),
+            (*WHOLE_FLIGHT, "runtime/link", "fixtures/fault_flights.py", "fixtures/fault_cases"),
+            ("--seeds", "1", "--cases", "1", "--models", "nominal", *NOT_KEPT),
+        ),
+    },
     "landing": {
         "landings": Measurement(
             "benchmarks.landing.landings:landings", ("landings",), WHOLE_FLIGHT, ("--flights", "1")

@@ -7,14 +7,15 @@ import pytest
 from fixtures.fault_flights import fly_case, read_cases
 
 CASES = {case.name: case for case in read_cases()}
-MENDED = ("estimate_moves_1e30", "estimate_reset_1e30", "stamps_3s_ahead", "stamps_3s_ahead_short", "reboot_armed")
+FLOWN = ("nothing", "estimate_moves_1e30", "stamps_3s_ahead")
+NIGHTLY = ("estimate_reset_1e30", "stamps_3s_ahead_short", "reboot_armed")
 
 
 def test_every_case_can_be_read() -> None:
     assert len(CASES) >= 60
 
 
-@pytest.mark.parametrize("name", ["nothing", *MENDED])
+@pytest.mark.parametrize("name", [*FLOWN, *[pytest.param(name, marks=pytest.mark.slow) for name in NIGHTLY]])
 def test_a_fault_ends_as_its_case_expects(name: str) -> None:
     flight = fly_case(CASES[name], "nominal", seed=7)
     assert not flight.unexplained, flight
