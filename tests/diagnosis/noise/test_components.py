@@ -134,12 +134,12 @@ def test_the_discretisation_is_the_integral(period: float) -> None:
 
 
 def test_what_has_no_value_is_refused() -> None:
-    gyro = Composition((CATALOGUE["gyro"],))
+    sensor = Composition((CATALOGUE["accelerometer"],))
     at = hover(VEHICLES[0], 0.01, 100.0, 250.0)
-    model = gyro.model(gyro.medians(VEHICLES[0]), at)
-    with pytest.raises(ValueError, match="gyro_x holds white noise"):
+    model = sensor.model(sensor.medians(VEHICLES[0]), at)
+    with pytest.raises(ValueError, match="accelerometer_x holds white noise"):
         discretise(model, 0.01)
-    with pytest.raises(ValueError, match="no outputs force_x; there are gyro_x"):
+    with pytest.raises(ValueError, match="no outputs force_x; there are accelerometer_x"):
         discretise(model, 0.01, {"force_x"})
     with pytest.raises(ValueError, match="shares noises of accelerometer, gyro"):
         Composition((CATALOGUE["integrating_estimator"],))
@@ -152,9 +152,10 @@ def test_what_has_no_value_is_refused() -> None:
         discretise(borrowed, 0.01)
     with pytest.raises(ValueError, match=r"F is \(1, 1\); 2 states"):
         LinearModel(("a", "b"), ("w",), ("y",), np.eye(1), np.eye(1), np.eye(1), np.ones(1))
-    own = Component("own", "", "", gyro.components[0].parameters, lambda *_: white("thrust", 1.0), lambda *_: {})
+    numbers = CATALOGUE["motion_capture"].parameters
+    own = Component("own", "", "", numbers, lambda *_: white("thrust", 1.0), lambda *_: {})
     with pytest.raises(ValueError, match="outputs thrust are no channels"):
-        Composition((own,)).model({"own.density": 1.0, "own.walk": 1.0}, at)
+        Composition((own,)).model({"own.position": 1.0, "own.attitude": 1.0}, at)
     with pytest.raises(ValueError, match=r"bounds 0\.0 and 1\.0"):
         Component("own", "", "", (Hyperparameter("a", "1", "", 0.0, 1.0, fixed_prior(1, 1)),), *[lambda *_: None] * 2)
 
@@ -167,9 +168,10 @@ def test_the_composition_is_block_diagonal_but_for_shared_noise() -> None:
     rooms = np.array([name.split(".")[0] for name in model.states])
     assert not np.any(model.F[rooms[:, None] != rooms])
     driven = {noise: {str(room) for room in rooms[model.L[:, k] != 0]} for k, noise in enumerate(model.noises)}
-    assert driven["gyro.x"] == {"integrating_estimator"}
-    assert model.D[model.outputs.index("gyro_x"), model.noises.index("gyro.x")] == 1
-    assert all(len(names) == 1 for names in driven.values())
+    assert driven["gyro.x"] == {"gyro", "integrating_estimator"}  # the estimator integrates before the low-pass
+    assert driven["accelerometer.x"] == {"integrating_estimator"}
+    assert model.D[model.outputs.index("accelerometer_x"), model.noises.index("accelerometer.x")] == 1
+    assert all(len(names) == 1 for noise, names in driven.items() if noise not in ("gyro.x", "gyro.y", "gyro.z"))
     assert not np.isnan(model.Qc).any()
 
 

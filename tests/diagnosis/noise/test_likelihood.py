@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from diagnosis.noise.component import hover
-from diagnosis.noise.components import CATALOGUE
+from diagnosis.noise.components import CATALOGUE, gyro
 from diagnosis.noise.components.gyro import SENSOR_PRIOR
 from diagnosis.noise.composition import Composition
 from diagnosis.noise.discretisation import discretise
@@ -25,7 +25,8 @@ POSE_RATE = 150.0  # 3 readings a row
 
 def filtered(names: str, values: dict[str, float], readings: dict[str, Floats], period: float = PERIOD) -> Filtered:
     """The readings of some outputs, all others missing, filtered; sensors and those with white noise are means."""
-    composition = Composition(tuple(CATALOGUE[name] for name in names.split()))
+    components = {**CATALOGUE, "gyro": gyro.WHITE}  # whose covariance has a closed form
+    composition = Composition(tuple(components[name] for name in names.split()))
     conditions = hover(VEHICLE, period, POSE_RATE, command_rate=250.0)
     model = composition.model(composition.medians(VEHICLE) | values, conditions)
     means = [name for name in model.outputs if name.startswith(("gyro", "accelerometer", "rotor_speed"))]
@@ -72,7 +73,7 @@ def with_gaps(values: Floats, seed: int) -> Floats:
         gaussian.dryden_across(gaussian.lags(COUNT, PERIOD), 1.2, 0.5),
     ),
     (
-        "gyro", {"gyro.density": 0.002, "gyro.walk": 0.02}, "gyro_y",
+        "gyro", {"gyro.density_y": 0.002, "gyro.walk": 0.02}, "gyro_y",
         gaussian.sensor_means(COUNT, PERIOD, 0.002, 0.02, SENSOR_PRIOR),
     ),
     (
@@ -100,7 +101,7 @@ def test_means_over_rows_have_the_likelihood_of_integrated_processes() -> None:
 
 
 INTEGRATING = {
-    "gyro.density": 0.004, "gyro.walk": 0.003,
+    "gyro.density_z": 0.004, "gyro.walk": 0.003,
     "integrating_estimator.attitude_std": 0.01, "integrating_estimator.attitude_time": 0.9,
 }  # fmt: skip
 
@@ -115,9 +116,9 @@ def test_an_estimator_shares_the_noise_of_the_gyro_that_it_integrates() -> None:
     covariance = estimator_covariance()
     series = (np.linalg.cholesky(covariance) @ np.random.default_rng(5).standard_normal(2 * COUNT)).reshape(2, COUNT)
     names = "integrating_estimator gyro accelerometer"
-    for attitude, gyro in (series, with_gaps(series.T, 6).T, series[:, ::-1]):
-        expected = gaussian.log_density(np.concatenate([attitude, gyro]), covariance)
-        computed = filtered(names, INTEGRATING, {"attitude_z": attitude, "gyro_z": gyro})
+    for attitude, rate in (series, with_gaps(series.T, 6).T, series[:, ::-1]):
+        expected = gaussian.log_density(np.concatenate([attitude, rate]), covariance)
+        computed = filtered(names, INTEGRATING, {"attitude_z": attitude, "gyro_z": rate})
         assert computed.log_likelihood == pytest.approx(expected, rel=1e-9)
 
 
@@ -133,8 +134,8 @@ def test_the_likelihood_says_whether_an_estimator_integrates_the_logged_gyro() -
     for truth, better in ((covariance, 1.0), (independent, -1.0)):
         gain = []
         for _ in range(count):
-            attitude, gyro = (np.linalg.cholesky(truth) @ random.standard_normal(2 * COUNT)).reshape(2, COUNT)
-            rows = {"attitude_z": attitude, "gyro_z": gyro}
+            attitude, rate = (np.linalg.cholesky(truth) @ random.standard_normal(2 * COUNT)).reshape(2, COUNT)
+            rows = {"attitude_z": attitude, "gyro_z": rate}
             structures = [f"{name} gyro accelerometer" for name in ("integrating_estimator", "smooth_estimator")]
             shared, apart = [filtered(names, values, rows).log_likelihood for names in structures]
             gain.append(better * (shared - apart))

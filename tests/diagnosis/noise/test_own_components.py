@@ -71,7 +71,7 @@ def test_a_file_adds_a_component_that_composes_with_the_catalogues(tmp_path: Pat
     catalogue = catalogue_with([own_file(tmp_path, VIBRATION)], HOVER)
     assert list(catalogue) == [*CATALOGUE, "arm_vibration"]
     composition = Composition((catalogue["arm_vibration"], catalogue["accelerometer"]))
-    values = composition.medians(HOVER.vehicle) | {"accelerometer.walk": 1e-3, "accelerometer.density": 0.02}
+    values = composition.medians(HOVER.vehicle) | {"accelerometer.walk": 1e-3, "accelerometer.density_z": 0.02}
     model = composition.model(values, HOVER)
     count, omega, damping = 30, 2 * np.pi * 17.0, 0.1
     ringing = omega * np.sqrt(1 - damping**2)
