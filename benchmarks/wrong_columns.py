@@ -75,13 +75,12 @@ def _right_logs(folder: Path, count: int) -> tuple[list[tuple[Path, dict[str, St
         if "field" in path.parts or len(logs) == count:
             continue
         try:
-            hypotheses = found_hypotheses(path)
+            refused += [f"{path.name}: {one.text}" for one in found_hypotheses(path)]  # also of one that is not read
             streams: dict[str, Stream] = {}
             for stream in read_log(path).streams:
                 streams.setdefault(stream.name, stream)
         except AlulaError:  # no log, or one that is refused for another reason than its columns
             continue
-        refused += [f"{path.name}: {one.text}" for one in hypotheses]
         if streams.keys() >= NEEDED and np.ptp(streams["rate"].time) > MIN_FLIGHT:
             logs.append((path, streams))
     return logs, refused
