@@ -1,6 +1,6 @@
 """Planned faults in flight: ends that nobody expected, by case and model. Writes results/faults.md.
 
-Every file of fixtures/fault_cases is flown over the link's bytes in simulated time, by the vehicle file's model, by one
+The files of fixtures/fault_cases are flown over the link's bytes in simulated time, by the vehicle file's model, by one
 that has identified what the mock hides (a tenth less thrust), by one that follows it in flight and, where
 `build/fault_bundle` holds an exported network of px4_sih, by a learned one. At each tick: setpoints are finite and
 within their limits, and none leaves after the end. Finished flights are kept, so that a run that was stopped resumes.
@@ -47,9 +47,10 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
     models = [model for model in MODELS if any(result["model"] == model for result in results)]
     unexplained = [result for result in results if result["unexplained"]]
     violations = sum(bool(result["violations"]) for result in results)
+    flown_cases = len({result["case"] for result in results})
     seconds = sum(result["seconds"] for result in results) / len(results)
     lines = [
-        f"{len(results)} flights of {len({result['case'] for result in results})} cases: **{len(unexplained)}** ends "
+        f"{len(results)} flights of {flown_cases} of {len(read_cases())} cases: **{len(unexplained)}** ends "
         f"that are not as expected, **{violations}** flights with a setpoint that is not finite, outside its limits or "
         f"after the end. A flight took {seconds:.0f} s of one processor on average.",
         "",
