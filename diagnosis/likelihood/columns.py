@@ -1,4 +1,4 @@
-"""What may be missing as columns: inputs of the filter by a unit of each parameter, of candidates and of nuisances.
+"""Columns of what may be missing: inputs of the filter by a unit of each parameter, of candidates and of nuisances.
 
 Nuisances are errors that every log has, with a prior on their size: biases and clocks of each flight's sensors, and a
 share of the model's own motion that it never meets. What lies between a motor command and thrust is free, too.
@@ -73,24 +73,24 @@ class Candidates:
 
 def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]) -> Candidates:
     """The effects that these flights could show: at each grid point where they are not linear, once where they are."""
-    every, seen = [], set()
+    every, taken = [], set()
     possible = make_candidates(vehicle, catalogue, segments)
     for candidate in sorted(possible, key=lambda c: c.effect.name in COMMAND_EFFECTS):
         effect = candidate.effect
         if effect.hidden and effect.rotor_speed is None:
             continue
         if candidate.fixed_shape and effect.rotor_speed is None:  # smooth at its present values, all free
-            if candidate.key in seen:
+            if candidate.key in taken:
                 continue
             at = candidate.present or {p.name: p.neutral for p in effect.parameters}
             candidate = Candidate(effect, candidate.rotor, at, tuple(at), (), candidate.present)
         if effect.rotor_speed is not None and candidate.present is not None:
-            if candidate.key in seen:
+            if candidate.key in taken:
                 continue
             candidate = Candidate(
                 effect, candidate.rotor, candidate.present, effect.time_constants, (), candidate.present
             )
-        seen.add(candidate.key)
+        taken.add(candidate.key)
         every.append(candidate)
     columns = tuple(Column(i, name) for i, c in enumerate(every) for name in (c.free or ("",)))
     estimated = segments[0].pose_source == "estimator"
@@ -119,12 +119,12 @@ def inputs(
     """(N, 9, k) of the error state's end and (N, m, k) of the readings, by a unit of each parameter.
 
     uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
-    only: candidates of which columns are wanted; those of others are zero.
+    only: candidates of which columns are chosen; those of others are zero.
     """
     N, K = len(rows), what.width
     count = along.speed.shape[1]
     acting, readings = np.zeros((K, N, 6)), np.zeros((K, N, 12 + count))  # of KINDS
-    wanted = list(range(len(what.all)) if only is None else only)
+    chosen = list(range(len(what.all)) if only is None else only)
     by_rotor = along.by_rotor
 
     def of_rotors(column: int, speeds: Floats) -> None:
@@ -132,7 +132,7 @@ def inputs(
         acting[column] += moved
         readings[column, :, 9:12] += moved[:, :3]
 
-    for layer in _layers(what, wanted, vehicle, catalogue):
+    for layer in _layers(what, chosen, vehicle, catalogue):
         merged, free, columns = {f"{u.name}[{u.rotor}]": u for u in uses}, [], []
         for i in layer:
             candidate = what.all[i]
@@ -150,7 +150,7 @@ def inputs(
         readings[columns, :, 12:] = (
             slopes[:, :, SPEEDS : SPEEDS + count] - along.spin_up * slopes[:, :, SPEEDS + count, None]
         )
-    for i in wanted:
+    for i in chosen:
         candidate = what.all[i]
         if candidate.effect.rotor_speed is None:
             continue
@@ -198,12 +198,12 @@ def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floa
 
 
 def _layers(
-    what: Candidates, wanted: Sequence[int], vehicle: Vehicle, catalogue: Mapping[str, Effect]
+    what: Candidates, chosen: Sequence[int], vehicle: Vehicle, catalogue: Mapping[str, Effect]
 ) -> list[list[int]]:
     """Candidates in groups that one model can hold: each effect and rotor once, the wind's own drag beside no other."""
     layers: list[list[int]] = []
     dragless = not any(catalogue[use.name].resists_air for use in vehicle.effects)
-    for i in wanted:
+    for i in chosen:
         effect, key = what.all[i].effect, what.all[i].key
         if effect.rotor_speed is not None:
             continue

@@ -231,15 +231,15 @@ class Search:
 
     def best(self, begin: Sequence[int] = ()) -> Scored:
         """Climb from a set by one more, one less, one for another, and one for two."""
-        least = self.problem.thresholds.min_improvement
+        required = self.problem.thresholds.min_improvement
         here = self.score([i for i in begin if i in self.able])
         if here.evidence == IMPOSSIBLE:
             here = self.score(())
         while True:
             near = max(self._near(here), key=lambda s: s.evidence, default=here)
-            if near.evidence <= here.evidence + least:
+            if near.evidence <= here.evidence + required:
                 near = max(self._merged(here), key=lambda s: s.evidence, default=here)
-                if near.evidence <= here.evidence + least:
+                if near.evidence <= here.evidence + required:
                     return here
             here = near
 

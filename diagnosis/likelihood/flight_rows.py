@@ -12,6 +12,7 @@ from diagnosis.likelihood.rotations import exponential, logarithm
 from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.errors import DataError
 
 MAX_SAVED = 12  # lags whose speeds are saved
 LAG_STEP = 0.01  # relative, for the slope in a lag
@@ -108,9 +109,13 @@ class FlightRows:
 
 
 def make_rows(segment: Segment, group: int, thresholds: LikelihoodThresholds = DEFAULT.likelihood) -> FlightRows:
-    """The rows of a segment. group: number of its flight."""
+    """The rows of a segment. group: number of its flight. Raises DataError for one without a pose."""
+    if not segment.has_pose:
+        raise DataError(
+            f"{segment.flight} has no pose. Wanted attitude and velocity, or position: log them, and fly again."
+        )
     merged = max(1, round(segment.rate / thresholds.row_rate))
-    readings = ["velocity", "attitude"] if segment.has_pose else ["attitude"] if segment.has_attitude else []
+    readings = ["velocity", "attitude"]
     readings += ["gyro"] if segment.gyro is not None else []
     readings += ["accelerometer"] if segment.specific_force is not None else []
     readings += ["rotor_speed"] if segment.rotor_source == "measured" else []
@@ -138,8 +143,8 @@ def _merged(values: Floats, count: int) -> Floats:
     """Means of `count` rows each."""
     if count == 1:
         return np.asarray(values, float)
-    whole = len(values) // count
-    return np.asarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
+    count_of_rows = len(values) // count
+    return np.asarray(values[: count_of_rows * count].reshape(count_of_rows, count, *values.shape[1:]).mean(axis=1))
 
 
 def _ends(values: Floats) -> Floats:

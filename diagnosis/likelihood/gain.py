@@ -27,7 +27,7 @@ Turning = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What the noise acts on: the rigid body about hover.
+    """The rigid body about hover, on which the noise acts.
 
     conditions: hover on the vehicle, and the logs' rates.
     slope: (6, 9) of specific force and angular acceleration in the error state.
@@ -269,14 +269,14 @@ class NoiseSlopes:
         return np.asarray(np.einsum("hij,ij->h", self.V, E) - len(white) * np.trace(self.V, axis1=1, axis2=2)) / 2
 
 
-def noise_slopes(changes: Sequence[GainSlope], gain: Gain, precision: Floats, away: Floats) -> NoiseSlopes:
+def noise_slopes(derivatives: Sequence[GainSlope], gain: Gain, precision: Floats, away: Floats) -> NoiseSlopes:
     """The maps of derivatives of a gain."""
     W = gain.whitening
-    dA, dC, dK = (np.array([getattr(c, name) for c in changes]) for name in ("A", "C", "K"))
+    dA, dC, dK = (np.array([getattr(c, name) for c in derivatives]) for name in ("A", "C", "K"))
     dA[:, :RIGID, :RIGID] = 0.0
     dC[:, :, :RIGID] = 0.0
     n, m = dA.shape[1], dC.shape[1]
-    of_V = np.array([W @ change.V @ W.T for change in changes])
+    of_V = np.array([W @ change.V @ W.T for change in derivatives])
     by_A, by_C, by_K = (x.transpose(2, 1, 0).reshape(width, -1) for x, width in ((dA, n), (dC, n), (dK, m)))
     return NoiseSlopes(by_A, by_C, by_K, of_V, precision, away)
 

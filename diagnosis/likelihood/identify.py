@@ -59,7 +59,7 @@ def identify(problem: Problem, structures: Sequence[str] | None = None, progress
 
 
 def _commands(problem: Problem, search: Search, total: Sums, best: Scored) -> dict[int, dict[str, float]]:
-    """What lies between command and thrust, beside the best set."""
+    """Values of what lies between command and thrust, beside the best set."""
     what, own = problem.what, problem.what.of_commands
     members = [p for i in best.members for p in search.columns[i]]
     change = total.of_commands(members, best.values, len(own))

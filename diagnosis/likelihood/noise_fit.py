@@ -63,7 +63,7 @@ class _Data:
 def compose(structure: str, readings: Sequence[str]) -> Composition:
     """The components of a structure for logs that have some kinds of readings."""
     names = ["rotor_motion"] if "rotor_speed" in readings else []  # its states are first: they are part of references
-    names += [*ALWAYS, *STRUCTURES[structure]] if {"velocity", "attitude"} & set(readings) else ALWAYS[:-1]
+    names += [*ALWAYS, *STRUCTURES[structure]]
     return Composition(tuple(CATALOGUE[name] for name in names))
 
 
@@ -192,8 +192,8 @@ class Fitter:
 
     def noise_slopes(self, gain: Gain, logs: Floats) -> NoiseSlopes:
         """How innovations change with the hyperparameters' logarithms."""
-        changes = slopes(self.composition, logs, self.names, self.plant, gain)
-        return noise_slopes(changes, gain, self.precision, logs - self.mean)
+        derivatives = slopes(self.composition, logs, self.names, self.plant, gain)
+        return noise_slopes(derivatives, gain, self.precision, logs - self.mean)
 
     def gain(self, logs: Floats) -> Gain:
         """The filter at logarithms of the hyperparameters."""
