@@ -366,6 +366,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("dynamics/references", *DIAGNOSIS),
             ("--flights", "1", "--cases", "1", *NOT_KEPT),
         ),
+        "likelihood": Measurement(
+            "benchmarks.estimation.likelihood:likelihood",
+            ("likelihood",),
+            ("diagnosis/likelihood", "diagnosis/noise"),
+            ("--sets", "captured", "--limit", "1", "--jobs", "1", *NOT_KEPT),
+        ),
         "output_error": Measurement(
             "benchmarks.estimation.output_error:output_error",
             ("output_error",),

@@ -65,6 +65,11 @@ def _lock_memory() -> None:
         raise OSError(number, os.strerror(number))
 
 
+def unlock_memory() -> None:
+    """What was locked may be swapped again."""
+    ctypes.CDLL(None).munlockall()
+
+
 def _memory() -> tuple[int, int]:
     """Resident memory of this process, and the machine's available memory, bytes."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -152,7 +157,7 @@ class Scheduling:
         self._over.set()
         if self.priority is not None:
             lower_threads()
-            ctypes.CDLL(None).munlockall()
+            unlock_memory()
 
     def describe(self) -> str:
         """The scheduling in one line."""

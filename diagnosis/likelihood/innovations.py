@@ -14,9 +14,9 @@ import numpy as np
 from diagnosis.likelihood.gain import Gain
 from dynamics.arrays import Floats
 from dynamics.codegen import build_library
+from dynamics.trust import load_own_library
 
 SOURCE = Path(__file__).with_name("innovations.c")
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-shared")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +77,6 @@ def _argument(value: object) -> Any:
 
 @cache
 def _library() -> Callable[..., None]:
-    path = build_library({SOURCE.name: SOURCE.read_text()}, flags=FLAGS, entry=SOURCE.name)
-    function: Callable[..., None] = ctypes.CDLL(str(path)).innovations
+    path = build_library({SOURCE.name: SOURCE.read_text()}, entry=SOURCE.name)
+    function: Callable[..., None] = load_own_library(path).innovations
     return function

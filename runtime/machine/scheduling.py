@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import resource
 import threading
 
@@ -46,7 +45,7 @@ def check_memory_lock() -> Check:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     bound = "without a limit" if limit == resource.RLIM_INFINITY else f"up to {limit / 2**20:.1f} MiB"
     refusal = realtime.lock_memory()
-    ctypes.CDLL(None).munlockall()
+    realtime.unlock_memory()
     if refusal:
         return Check(MEMORY, "warning", f"{refusal.partition(' (')[0]}; allowed {bound}", realtime.MEMORY_REMEDY)
     if not realtime.locks_later_memory():

@@ -123,6 +123,13 @@ def test_innovations_move_with_the_noise_as_their_slopes_say():
         np.testing.assert_allclose(analytic, numeric, atol=2e-3 * np.abs(numeric).max())
 
 
+def test_the_compiled_pass_leaves_the_processors_arithmetic_as_it_was():
+    """A library that is compiled for fast mathematics sets small numbers to zero in the whole process."""
+    gain, _ = gain_at("filtered pose", plant())
+    start(gain, 1).advance(still(gain, 2), np.zeros((2, 9, 1)), np.zeros((2, len(gain.V), 1)))
+    assert np.nextafter(0.0, 1.0) * 1.0 > 0.0
+
+
 def test_states_that_no_reading_shows_are_left_out():
     place = plant()
     composition = compose("smooth estimator", place.readings)
