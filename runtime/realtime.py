@@ -66,7 +66,7 @@ def _lock_memory() -> None:
 
 
 def unlock_memory() -> None:
-    """What was locked may be swapped again."""
+    """Locked memory may be swapped again."""
     ctypes.CDLL(None).munlockall()
 
 

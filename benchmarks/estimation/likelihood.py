@@ -69,7 +69,7 @@ def answer_of(problem: Problem, result: Identified) -> Answer:
     return Answer({"verdict": "effect" if effects else "explained", "effects": effects})
 
 
-def asked(posed: Posed) -> Answer:
+def answer_to(posed: Posed) -> Answer:
     """The answer of the likelihood to a question."""
     vehicle = posed.vehicle if isinstance(posed.vehicle, Vehicle) else read_vehicle(posed.vehicle)
     logs = [log for log in posed.logs if isinstance(log, Path)]  # of these sets all are
@@ -90,7 +90,7 @@ def both(case: Case) -> tuple[dict[str, Any], dict[str, Any]]:
             return lost, lost
         began = time.process_time()
         try:
-            answer = asked(posed)
+            answer = answer_to(posed)
         except AlulaError as error:
             answer = Answer(refusal=str(error))
         except Exception as error:  # is an answer, too, and the worst one
