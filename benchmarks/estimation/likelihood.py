@@ -37,7 +37,7 @@ from flights.parallel import parallel_map
 
 SETS = ("captured", "rotorpy", "px4_real", "px4_like", "estimated", "nothing")
 NAMED = 3.0  # of the log-evidence
-FIRST, LIMIT = 91_000, 1000
+FIRST, LIMIT, MIN_ANSWERS = 91_000, 1000, 20  # seed, cases of a set, answers that make a page
 
 
 def answer_of(problem: Problem, result: Identified) -> Answer:
@@ -133,7 +133,7 @@ def likelihood(arguments: Sequence[str]) -> Page:
         keep(options.kept, pair, line=f"{new['key']}: {new['outcome']} {new.get('named')}; {old['outcome']}")
         pairs.append(pair)
     pairs = [pair for pair in pairs if pair[0]["outcome"] != "lost"]
-    trial = set(options.sets) != set(SETS) or options.limit < LIMIT
+    trial = len(pairs) < MIN_ANSWERS
     return Page("likelihood", "The likelihood beside today's diagnosis", _table(pairs, options.first), trial=trial)
 
 
