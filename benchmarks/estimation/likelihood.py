@@ -17,6 +17,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from benchmarks.measurement import Page, add_names, keep, kept_results, options_of, paragraph_of
 from benchmarks.verdict.asking import ask
 from benchmarks.verdict.cases import Case, planned, read_sets
@@ -51,7 +53,8 @@ def answer_of(problem: Problem, result: Identified) -> Answer:
         rest = result.search.score([i for i in result.best.members if i != number])
         present = candidate.present or {p.name: p.neutral for p in candidate.effect.parameters}
         size = max(abs(value - present[name]) for name, value in values[number].items())
-        if result.best.evidence - rest.evidence < NAMED or size < candidate.effect.min_detectable:
+        gain = result.best.evidence - rest.evidence
+        if gain < NAMED or size < candidate.effect.min_detectable:
             continue
         parameters = {
             name: {"value": value, "std": float(std)}
@@ -62,7 +65,7 @@ def answer_of(problem: Problem, result: Identified) -> Answer:
                 "name": candidate.effect.name,
                 "rotor": candidate.rotor,
                 "parameters": parameters,
-                "confidence": 1.0,
+                "confidence": float(1 / (1 + np.exp(-gain))),
                 "ambiguous_with": [],
             }
         )

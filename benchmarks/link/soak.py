@@ -33,6 +33,7 @@ PERIOD = 1.0  # s between samples of the processes
 MOCK_PRIORITY = 1
 FIRST, LAST = "-> STREAMING", "ENGAGED -> STANDBY"  # changes of state between which samples are taken
 ROWS = 10  # of the table over time
+ROOM = 1.3  # of an axis beyond its lines, for the legend
 BIN = 10.0  # s of ticks for each point of the picture
 FIGURES = (
     "flight, setpoints",
@@ -220,9 +221,9 @@ def plot(flight: Flight, limited: Flight) -> None:
         counts.plot(since, [sample.descriptors for sample in each.samples], label=f"descriptors, {name}")
         counts.plot(since, [sample.threads for sample in each.samples], label=f"threads, {name}")
     memory.set_ylabel("resident memory, MB")
-    memory.set_ylim(bottom=0)
+    memory.set_ylim(0, ROOM * memory.get_ylim()[1])
     counts.set_ylabel("number")
-    counts.set_ylim(bottom=0)
+    counts.set_ylim(0, ROOM * counts.get_ylim()[1])
     disk.set_ylabel("recording, MB")
     bins = binned(flight.times, flight.lateness, flight.samples[0].time, BIN)
     for percent, name in ((50, "median"), (99, "99th percentile"), (100, "greatest")):
@@ -232,6 +233,7 @@ def plot(flight: Flight, limited: Flight) -> None:
             label=name,
         )
     late.set_ylabel("arrival to departure, ms")
+    late.set_ylim(top=10 * late.get_ylim()[1])  # of a logarithmic axis
     for axis in axes.flat:
         axis.legend(frameon=False)
     for axis in axes[1]:

@@ -141,10 +141,8 @@ def prior_stds(what: Candidates, vehicle: Vehicle, fitted: Sequence[int]) -> Flo
             continue
         parameter = next(p for p in effect.parameters if p.name == column.name)
         prior = parameter.prior(vehicle)
-        away = prior.mean - parameter.neutral if candidate.present is None else candidate.at[column.name]
-        if candidate.present is not None and parameter.neutral == 1.0:
-            away = prior.mean - 1.0
-        made.append(float(np.hypot(prior.std, away)))
+        usual = prior.mean if candidate.present is None else candidate.at[column.name]
+        made.append(float(np.hypot(prior.std, usual - parameter.neutral)))
     return np.array(made)
 
 
@@ -215,9 +213,9 @@ class Search:
         for i in members:
             candidate = self.what.all[i]
             if not candidate.free:
-                size = values[first]
-                bounds = (1e-4, 0.5) if i in self.problem.fitted else (0.3, 3.0)
-                if not bounds[0] < size < bounds[1]:
+                lag = next(p for p in candidate.effect.parameters if p.name == candidate.effect.time_constants[0])
+                lowest, highest = (lag.lower, lag.upper) if i in self.problem.fitted else DEFAULT.search.amplitude
+                if not lowest < values[first] < highest:
                     return False
                 first += 1
                 continue
@@ -228,6 +226,10 @@ class Search:
                     return False
                 first += 1
         return True
+
+    def places(self, scored: Scored) -> list[int]:
+        """Columns of a set's members, in their order."""
+        return [place for i in scored.members for place in self.columns[i]]
 
     def best(self, begin: Sequence[int] = ()) -> Scored:
         """Climb from a set by one more, one less, one for another, and one for two."""
@@ -270,7 +272,7 @@ class Search:
                 first += len(candidate.free)
             else:
                 name, size = candidate.effect.time_constants[0], scored.values[first]
-                own = {name: float(size if i in self.problem.fitted else candidate.at[name] * np.clip(size, 0.5, 1.5))}
+                own = {name: size if i in self.problem.fitted else candidate.at[name] * size}
                 first += 1
             made[i] = {name: float(value) for name, value in own.items()}
         return made

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from diagnosis.data.segment import Segment
-from diagnosis.likelihood.rotations import exponential, logarithm
 from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.rotation_matrix import exponential, logarithm
 
 MAX_SAVED = 12  # lags whose speeds are saved
 LAG_STEP = 0.01  # relative, for the slope in a lag

@@ -10,12 +10,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from diagnosis.likelihood.rotations import skew
 from diagnosis.noise.component import AXES, FlightConditions
 from diagnosis.noise.composition import Composition
 from diagnosis.noise.discretisation import DiscreteModel, discretise
 from diagnosis.noise.linear_model import LinearModel, compose
 from dynamics.arrays import Floats
+from dynamics.rotation_matrix import skew
 
 KINDS = ("velocity", "attitude", "gyro", "accelerometer", "rotor_speed")
 RIGID = 9  # error of velocity, body axes, of attitude, and of body rate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from diagnosis.likelihood.evidence import Scored, Search, Sums, present, sums
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
-from diagnosis.likelihood.problem import Information, Problem
+from diagnosis.likelihood.problem import Problem
 from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
 
@@ -21,17 +20,14 @@ class Identified:
 
     noise: NoiseFit
     search: Search
-    total: Sums
     best: Scored
     std: Floats
     chi_square: float
-    information: list[Information]
-    took: float
 
 
 def identify(problem: Problem, structures: Sequence[str] | None = None, progress: Progress = no_progress) -> Identified:
     """The best set of effects. structures: of the noise, among which the likelihood decides; by default all."""
-    began, t = time.process_time(), problem.thresholds
+    t = problem.thresholds
     progress(0.0, "the noise of the flights")
     noise = likeliest(problem, structures or structures_of(problem.flights[0].segment))
     members: tuple[int, ...] = ()
@@ -55,14 +51,13 @@ def identify(problem: Problem, structures: Sequence[str] | None = None, progress
         if number == t.settled_rounds - 1:
             noise = fit_noise(problem, noise.structure, values=noise.values, only=members)
     std = _deviations(total, search, best)
-    return Identified(noise, search, total, best, std, float(chi), information, time.process_time() - began)
+    return Identified(noise, search, best, std, float(chi))
 
 
 def _commands(problem: Problem, search: Search, total: Sums, best: Scored) -> dict[int, dict[str, float]]:
     """Values of what lies between command and thrust, beside the best set."""
     what, own = problem.what, problem.what.of_commands
-    members = [p for i in best.members for p in search.columns[i]]
-    change = total.of_commands(members, best.values, len(own))
+    change = total.of_commands(search.places(best), best.values, len(own))
     made = {}
     for place, value in zip(own, present(problem)[own] + change, strict=True):
         number = what.columns[place].candidate
@@ -73,7 +68,7 @@ def _commands(problem: Problem, search: Search, total: Sums, best: Scored) -> di
 
 def _step(problem: Problem, search: Search, best: Scored) -> float:
     """Largest change of a value since the last round, in its standard deviations."""
-    places = [p for i in best.members for p in search.columns[i]]
+    places = search.places(best)
     if not places:
         return 0.0
     change = best.values - search.total.now[places]
@@ -82,7 +77,7 @@ def _step(problem: Problem, search: Search, best: Scored) -> float:
 
 def _deviations(total: Sums, search: Search, best: Scored) -> Floats:
     """(c,) standard deviations: the larger of the likelihood's and of the blocks' scatter (a sandwich)."""
-    places = [p for i in best.members for p in search.columns[i]]
+    places = search.places(best)
     if not places:
         return np.zeros(0)
     scores = total.g_blocks[:, places] - np.einsum("bij,j->bi", total.M_blocks[:, places][:, :, places], best.values)

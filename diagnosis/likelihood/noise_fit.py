@@ -16,11 +16,11 @@ from diagnosis.data.segment import Segment
 from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant, Turning, make_gain, noise_slopes, slopes
 from diagnosis.likelihood.innovations import start
 from diagnosis.likelihood.problem import Problem
-from diagnosis.likelihood.rigid_body import Along, moved_reference
-from diagnosis.likelihood.rotations import logarithm
+from diagnosis.likelihood.rigid_body import Along
 from diagnosis.noise.components import CATALOGUE
 from diagnosis.noise.composition import Composition
 from dynamics.arrays import Floats
+from dynamics.rotation_matrix import logarithm
 from dynamics.vehicle import Vehicle
 
 STRUCTURES: Mapping[str, tuple[str, ...]] = {
@@ -86,7 +86,6 @@ class Fitter:
         self.logs = np.clip(begin, self.lower, self.upper)
         self.use(problem.thresholds.seconds)
         self.data: list[_Data] = []
-        self.trace: list[float] = []
         self.turning: Turning | None = None
         self._residuals: list[tuple[Floats, Floats]] = []
         self.theta = np.zeros(problem.what.width)
@@ -131,13 +130,6 @@ class Fitter:
             self.data.append(
                 _Data(along, B, D, int(self.problem.thresholds.burn_in / self.problem.flights[place].period))
             )
-
-    def relinearise(self, gain: Gain) -> None:
-        """References of the fitted flights as the filter predicts them."""
-        for place, data in zip(self.places, self.data, strict=True):
-            B, D = (np.ascontiguousarray(x[:, :, :1]) for x in (data.B, data.D))
-            _, states = start(gain, 1).advance(data.along.model, B, D, path=True)
-            self.problem.references[place] = moved_reference(data.along.reference, states)
 
     def profile(self, gain: Gain) -> None:
         """The candidates' values at the present noise, by ridge regression."""
@@ -221,7 +213,6 @@ class Fitter:
                 value = -np.inf
             fresh = value > best
             if fresh:
-                self.trace.append(value)
                 gained, best, logs, gain = value - best, value, trial, other
                 damping *= max(1 / 3, 1 - (2 * gained / max(expected, gained) - 1) ** 3)
                 raised = 2.0
@@ -267,9 +258,8 @@ def fit_noise(
 def _relinearised_fit(fitter: Fitter, duration: float, steps: int, only: Sequence[int] | None) -> NoiseFit:
     """A fit about references as the present noise predicts them, with the candidates' values at it."""
     fitter.use(duration)
-    fitter.linearise(only)
     gain = fitter.gain(fitter.logs)
-    fitter.relinearise(gain)
+    fitter.problem.relinearise(gain, fitter.places)
     fitter.linearise(only)
     fitter.profile(gain)
     return fitter.ascend(steps)

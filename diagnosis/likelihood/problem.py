@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -87,9 +87,9 @@ class Problem:
         model = FlightModel(self.vehicle, self.uses, self.catalogue)
         return model.along(self.flights[place], self.reference(place), lift)
 
-    def relinearise(self, gain: Gain) -> None:
-        """Each flight's reference becomes what the filter predicts from earlier rows."""
-        for place in range(len(self.flights)):
+    def relinearise(self, gain: Gain, places: Iterable[int] | None = None) -> None:
+        """The reference of each flight, or of some, becomes what the filter predicts from earlier rows."""
+        for place in range(len(self.flights)) if places is None else places:
             along = self.along(place)
             _, states = start(gain, 1).advance(along.model, *_data(along), path=True)
             self.references[place] = moved_reference(along.reference, states)

@@ -13,12 +13,12 @@ import numpy as np
 
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
 from diagnosis.likelihood.innovations import Linearised
-from diagnosis.likelihood.rotations import exponential, logarithm, orthonormal, skew
 from diagnosis.models.batched_function import RowFunction
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.model import Model, build_model
+from dynamics.rotation_matrix import exponential, logarithm, orthonormal, skew
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 PARAMETERS = 7  # place of the parameters among the inputs

@@ -8,12 +8,12 @@ from diagnosis.thresholds.group import Count, Positive, ThresholdGroup
 class LikelihoodThresholds(ThresholdGroup, frozen=True):
     """The filter of flights and the search on its innovations.
 
-    row_rate: Hz, about which rows are means of the log's. [measured: 200 Hz changes no set of ten, and costs twice]
-    burn_in: s of a segment in which the filter settles. [formula: the memory of its slowest state that matters]
+    row_rate: Hz, about which rows are means of the log's. [cost: in proportion to it]
+    burn_in: s of a segment in which the filter settles. [convention: ten times the turbulence's time constant and more]
     block: s of flight whose sum is one draw of the score's scatter. [definition: longer than innovations correlate]
     first_seconds: of flight on which noise is fitted from afar. [cost]
     seconds: of flight on which it is fitted. [cost]
-    first_steps: of scoring on the first. [cost: a dozen steps converge]
+    first_steps: of scoring on the first. [decisions: a dozen steps converge]
     steps: the same on the second. [cost]
     converged: gain of the log-likelihood by a step that ends them. [formula: far below one]
     ridge: prior of all candidates while noise is fitted, of their own information. [formula: rounding]

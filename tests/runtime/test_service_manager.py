@@ -10,6 +10,7 @@ import pytest
 
 from dynamics.errors import RequestError
 from runtime.service_manager import ServiceManager
+from tests.support.service_listener import drained
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -19,15 +20,6 @@ def listening(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[
         listener.bind(address.replace("@", "\0", 1))
         listener.setblocking(False)
         yield address, listener
-
-
-def heard(listener: socket.socket) -> list[str]:
-    messages = []
-    while True:
-        try:
-            messages.append(listener.recv(4096).decode())
-        except BlockingIOError:
-            return messages
 
 
 def test_a_loop_that_hangs_does_not_feed_the_watchdog(listening: tuple[str, socket.socket]) -> None:
@@ -40,7 +32,7 @@ def test_a_loop_that_hangs_does_not_feed_the_watchdog(listening: tuple[str, sock
     manager.stopping()
     manager.close()
     fed = ["WATCHDOG=1"] * 4
-    assert heard(listener) == ["READY=1", *fed, "STATUS=ENGAGED: the vehicle is armed", "STOPPING=1"]
+    assert drained(listener) == ["READY=1", *fed, "STATUS=ENGAGED: the vehicle is armed", "STOPPING=1"]
 
 
 def test_without_a_manager_nothing_is_sent() -> None:
@@ -56,7 +48,7 @@ def test_a_manager_that_does_not_read_or_is_gone_costs_nothing(listening: tuple[
     manager = ServiceManager(address)
     for ticks in range(5000):  # more than a socket holds
         manager.progress(ticks)
-    assert 0 < len(heard(listener)) < 5000
+    assert 0 < len(drained(listener)) < 5000
     listener.close()
     manager.stopping()
     manager.close()

@@ -17,6 +17,7 @@ from runtime.service_manager import MIN_WATCHDOG, ServiceManager
 from runtime.setpoint_stream import SetpointStream
 from runtime.supervisor import LANDING_PATIENCE, Supervisor
 from tests.support.pages import ROOT
+from tests.support.service_listener import drained
 
 UNIT = ROOT / "examples" / "deploy" / "alula-fly.service"
 
@@ -50,15 +51,6 @@ class SlowWorker:
         self._heard += drained(self._listener)
         self.before_join = list(self._heard)
         return False
-
-
-def drained(listener: socket.socket) -> list[str]:
-    messages = []
-    while True:
-        try:
-            messages.append(listener.recv(4096).decode())
-        except BlockingIOError:
-            return messages
 
 
 @pytest.fixture

@@ -12,15 +12,10 @@ from diagnosis.noise.component import AXES, Component, FlightConditions, Values
 from diagnosis.noise.components.smooth_estimator import KINDS, hyperparameters
 from diagnosis.noise.linear_model import LinearModel
 from dynamics.arrays import Floats
+from dynamics.rotation_matrix import skew
 
 SENSORS = ("gyro", "accelerometer")
 OUTPUTS = tuple(f"{kind}_{axis}" for kind in KINDS for axis in AXES)
-
-
-def cross(vector: Floats) -> Floats:
-    """(3, 3) matrix of the product vector x."""
-    x, y, z = vector
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def model(p: Values, c: FlightConditions) -> LinearModel:
@@ -34,8 +29,8 @@ def model(p: Values, c: FlightConditions) -> LinearModel:
     F = np.zeros((9, 9))
     for place, kind in enumerate(KINDS):
         rows = slice(3 * place, 3 * place + 3)
-        F[rows, rows] = -cross(c.rate_body) - np.eye(3) / p[f"{kind}_time"]
-    F[3:6, 0:3], F[6:9, 3:6] = -cross(c.specific_force), np.eye(3)
+        F[rows, rows] = -skew(c.rate_body) - np.eye(3) / p[f"{kind}_time"]
+    F[3:6, 0:3], F[6:9, 3:6] = -skew(c.specific_force), np.eye(3)
     L = np.hstack([np.eye(9), np.eye(9)[:, :6]])
     aiding = [2 * p[f"{kind}_std"] ** 2 / p[f"{kind}_time"] for kind in KINDS for _ in AXES]
     return LinearModel(OUTPUTS, own + shared, OUTPUTS, F, L, np.eye(9), np.array([*aiding, *[np.nan] * 6]))
@@ -47,7 +42,7 @@ def spectrum(p: Values, c: FlightConditions, frequency: Floats) -> Mapping[str, 
     for kind, sensor in zip(KINDS, SENSORS, strict=False):
         sensors[kind] = np.array([[p[f"{sensor}.density_{axis}"]] for axis in AXES])
     integrated, result = np.zeros((3, 1)), dict[str, Floats]()
-    for kind, turn in zip(KINDS, (cross(c.specific_force) ** 2, np.eye(3), np.eye(3)), strict=True):
+    for kind, turn in zip(KINDS, (skew(c.specific_force) ** 2, np.eye(3), np.eye(3)), strict=True):
         rate = 1 / p[f"{kind}_time"]
         inputs = 2 * p[f"{kind}_std"] ** 2 * rate + sensors[kind] ** 2 + integrated
         density = inputs / ((2 * np.pi * frequency) ** 2 + rate**2)

@@ -9,9 +9,9 @@ from diagnosis.likelihood.gain import Gain, Plant, make_gain, noise_slopes, slop
 from diagnosis.likelihood.innovations import Linearised, start
 from diagnosis.likelihood.noise_fit import STRUCTURES, compose
 from diagnosis.likelihood.rigid_body import FlightModel, moved_reference
-from diagnosis.likelihood.rotations import exponential, logarithm, orthonormal, skew
 from diagnosis.noise.component import hover
 from diagnosis.noise.kalman_filter import filter_rows
+from dynamics.rotation_matrix import exponential, logarithm, orthonormal, skew
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_file import read_vehicle
 from tests.diagnosis.likelihood.flights import problem_of
