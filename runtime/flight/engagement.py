@@ -44,6 +44,7 @@ class Facts(msgspec.Struct, frozen=True):
     refusal: why engaging is refused, empty when it is not.
     fallback: that the health checks require.
     reason: for the fallback.
+    standstill: s for which this computer stood still lately, long enough for an autopilot's failsafe; 0 for none.
     """
 
     connected: bool
@@ -53,6 +54,14 @@ class Facts(msgspec.Struct, frozen=True):
     refusal: str = ""
     fallback: Fallback = Fallback.NONE
     reason: str = ""
+    standstill: float = 0.0
+
+    @property
+    def mode_change(self) -> str:
+        """Who has changed the mode, as far as it shows."""
+        if self.standstill:
+            return f"mode changed to {self.mode} after this computer stood still for {self.standstill:.1f} s"
+        return f"mode changed to {self.mode}, the pilot or the autopilot took over"
 
 
 @dataclass(frozen=True)
@@ -247,7 +256,7 @@ class Engagement:
         if not facts.armed:
             return State.STANDBY, "vehicle disarmed"
         if not facts.offboard:
-            return State.STANDBY, f"mode changed to {facts.mode}, the pilot or the autopilot took over"
+            return State.STANDBY, facts.mode_change
         if facts.fallback is Fallback.STOP_STREAMING:
             return State.STANDBY, f"stopped streaming, the autopilot's failsafe acts: {facts.reason}"
         if self.state is State.ENGAGED and facts.fallback > Fallback.NONE:

@@ -41,6 +41,7 @@ class Event(Enum):
     ESTIMATOR_RESET = "estimator_reset"
     ESTIMATOR_DEGRADED = "estimator_degraded"
     ESTIMATOR_REJECTS = "estimator_rejects"
+    HEADING_WRONG = "heading_wrong"
     INPUT_NOT_FINITE = "input_not_finite"
     SOLVER_FAILED = "solver_failed"
     SOLVER_CUT = "solver_cut"
@@ -130,6 +131,9 @@ POLICIES: Mapping[Event, Policy] = {
         "the estimator does not vouch for its estimate", Severity.ERROR, onset=0.5, clear_after=NEVER, lands=True
     ),
     Event.ESTIMATOR_REJECTS: Policy("the estimator rejects measurements", Severity.WARNING, onset=1.0),
+    Event.HEADING_WRONG: Policy(
+        "the estimated heading does not fit the motion, it is corrected", Severity.ERROR, clear_after=NEVER, lands=True
+    ),
     Event.INPUT_NOT_FINITE: Policy(
         "the estimate is unusable", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),

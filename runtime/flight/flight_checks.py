@@ -58,7 +58,7 @@ class FlightChecks:
         if observation.findings:
             present |= {Event(name): text for name, text in decode_json(observation.findings).items()}
         present |= self.health.estimate_age(self._measured.estimate, observation.time)
-        present |= self._measured.frozen()
+        present |= self._measured.frozen() | self._measured.heading.findings()
         for adaptation in self._controllers.adaptations:
             present |= rotor_findings(adaptation, motors)
         if not self._engagement.flying and not self._engagement.initially_armed:
@@ -74,9 +74,15 @@ class FlightChecks:
             return {Event.DISARMED: f"in phase {self._mission.phase.value}"}
         if observation.offboard:
             return {}
-        standstill = self.attribution.standstill
-        after = f", after this computer stood still for {standstill:.1f} s" if standstill > FAILSAFE_TIME else ""
+        standstill = self.standstill
+        after = f", after this computer stood still for {standstill:.1f} s" if standstill else ""
         return {Event.MODE_CHANGED: f"to {observation.mode}{after}"}
+
+    @property
+    def standstill(self) -> float:
+        """For how long this computer stood still lately, s; 0 for less than an autopilot's failsafe waits."""
+        standstill = self.attribution.standstill
+        return standstill if standstill > FAILSAFE_TIME else 0.0
 
     # --- after the setpoint has left
 

@@ -33,7 +33,7 @@ from runtime.flight.thrust import EffectivenessEstimator, ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
-ZERO_RATE = np.zeros(3)
+ZERO, ZERO_RATE = np.zeros(3), np.zeros(3)
 STOPPED = "stopped streaming at once"
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
@@ -108,10 +108,12 @@ class Flyer:
         if observation.engage:
             decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
-        measured.take(observation, estimate)
+        measured.take(observation, estimate, aloft=self.engagement.flying and self.mission.airborne)
         self._checks.attribution.observe(observation.time, estimate, fresh=measured.fresh)
         if observation.reset:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
+        if measured.fresh and measured.heading.turned:
+            self.mission.shift(ZERO, measured.heading.turned)
         if measured.fresh:
             self._take_estimate(observation)
         decision.event_changes += self.events.update(
@@ -209,6 +211,7 @@ class Flyer:
             refusal=self.events.refusal,
             fallback=decision.fallback,
             reason=self._chain.reason if was_flying else self.events.reason,
+            standstill=self._checks.standstill,
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests

@@ -1,4 +1,4 @@
-"""The newest measurements of a flight: estimate with a consistent velocity, specific force, battery voltage. Pure."""
+"""The newest measurements of a flight: estimate, consistent in itself, specific force, battery voltage. Pure."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from math import isnan, nan
 import numpy as np
 
 from dynamics.arrays import Floats
+from runtime.flight.consistent_heading import ConsistentHeading
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.events import Event
 from runtime.flight.health import FrozenEstimate
@@ -18,11 +19,12 @@ from runtime.record.records import ObservationRecord
 class Measurements:
     """Measurements up to the present tick.
 
-    estimate: the newest, its velocity corrected; None before the first.
+    estimate: the newest, its velocity and heading corrected; None before the first.
     state: (13,) of it, None before the first.
     fresh: whether it is newer than at the last tick.
     force: (3,) specific force, m/s^2, body; NaN where none is new.
     voltage: of the battery, V; NaN before the first.
+    heading: the estimate's, against the motion.
     """
 
     def __init__(self) -> None:
@@ -34,18 +36,28 @@ class Measurements:
         self._received: StateEstimate | None = None
         self._previous: StateEstimate | None = None
         self._observation: ObservationRecord | None = None
+        self.heading = ConsistentHeading()
         self._velocity, self._frozen = ConsistentVelocity(), FrozenEstimate()
 
-    def take(self, observation: ObservationRecord, received: StateEstimate | None) -> None:
-        """Take one tick. received: the newest estimate, the same object while there is no newer."""
+    def take(self, observation: ObservationRecord, received: StateEstimate | None, *, aloft: bool) -> None:
+        """Take one tick.
+
+        received: the newest estimate, the same object while there is no newer. aloft: whether the vehicle flies, so
+        that it is the thrust which moves it.
+        """
         self.fresh = received is not None and received is not self._received
         self._received = received
+        force = np.append(observation.specific_force_xy, observation.specific_force_z)
         estimate = None if received is None else self.estimate
+        if not aloft:
+            self.heading.clear()
         if received is not None and self.fresh:
-            estimate = self._velocity.correct(received, moved=observation.reset)
+            moved_yaw = observation.reset_yaw if observation.reset else 0.0
+            estimate = self.heading.correct(received, force, moved_yaw=moved_yaw)
+            estimate = self._velocity.correct(estimate, moved=observation.reset)
             self.state = estimate.state
         self._previous, self.estimate = self.estimate, estimate
-        self.force = np.append(observation.specific_force_xy, observation.specific_force_z)
+        self.force = force
         self.voltage = observation.battery_voltage if observation.battery_voltage > 0 else self.voltage
         self._observation = observation
 

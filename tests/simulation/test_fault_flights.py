@@ -7,7 +7,7 @@ import pytest
 from fixtures.fault_flights import fly_case, read_cases
 
 CASES = {case.name: case for case in read_cases()}
-FLOWN = ("nothing", "estimate_moves_1e30", "stamps_3s_ahead")
+FLOWN = ("nothing", "estimate_moves_1e30", "stamps_3s_ahead", "estimator_reset_yaw", "stall_2s")
 NIGHTLY = ("estimate_reset_1e30", "stamps_3s_ahead_short", "reboot_armed")
 
 

@@ -263,3 +263,14 @@ def test_whatever_happens_streaming_starts_only_after_a_request_since_the_last_e
         if machine.flying and facts.connected:
             assert facts.armed
             assert facts.offboard
+
+
+def test_a_mode_that_changed_while_this_computer_stood_still_is_not_put_down_to_the_pilot() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 1.0)
+    run(machine, FLYING, 1.0, 4.0)
+    assert machine.state is State.ENGAGED
+    (transition,) = machine.update(replace(FLYING, offboard=False, mode="RTL", standstill=2.0), 6.0)
+    assert transition.reason == "mode changed to RTL after this computer stood still for 2.0 s"
