@@ -22,6 +22,7 @@ from runtime.running_mean import RunningMean
 
 # limits as shares of the largest body rate; measured on a vehicle of 12 rad/s (benchmarks/results/oscillation.md)
 UNFOLLOWED, SWING, CHATTER = 1 / 4, 1 / 6, 1 / 8
+BLOW = 2.0  # times `unfollowed`, up to which an error of body rates counts for it
 FROZEN = 0.1  # s of one and the same estimate
 
 
@@ -183,5 +184,6 @@ class FlightHealth:
         self._miss_time = time
         self._compared_for += elapsed
         miss = float(np.linalg.norm(rate_body - setpoint))
-        self._miss.add(miss, elapsed)
+        # a blow that the vehicle takes up within a moment is no refusal
+        self._miss.add(min(miss, BLOW * self.limits.unfollowed), elapsed)
         self._swing.add(miss, elapsed)

@@ -11,6 +11,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from dynamics import quaternion
 from sitl_mock.autopilot.commander import SEVERITY_NUMBER, Commander, Result
 from sitl_mock.autopilot.commands import CommandHandler
 from sitl_mock.autopilot.fault_schedule import Fault, FaultSchedule, FaultTargets
@@ -29,6 +32,9 @@ from sitl_mock.wire.signing import AutopilotSigning
 from sitl_mock.wire.snapshot import Snapshot
 from sitl_mock.wire.statustext import TextWriter
 from sitl_mock.wire.streams import STEP, Role
+
+UP = np.array([0.0, 0.0, 1.0])
+MIN_UPRIGHTNESS = 0.5  # cosine of a tilt of 60 degrees, FD_FAIL_R and FD_FAIL_P
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,16 +151,17 @@ class Autopilot:
     def step(self) -> None:
         """One pass: decide, fly for 4 ms, queue the messages that are due."""
         self._faults.apply(self.time)
-        self._watch_position()
+        self._watch_estimate()
         self._navigator.fly(STEP)
         self.next_step = self.time + STEP
         self._queue_messages(self.time)
 
-    def _watch_position(self) -> None:
+    def _watch_estimate(self) -> None:
         has_position = self.vehicle.has_position
         if self.commander.has_position and not has_position:
             self.commander.lose_position()
         self.commander.has_position = has_position
+        self.commander.upright = float(quaternion.rotate(self.vehicle.truth.attitude, UP)[2]) > MIN_UPRIGHTNESS
         self.estimate_fault.watch_position(has_position)
 
     def snapshot(self, time: float) -> Snapshot:

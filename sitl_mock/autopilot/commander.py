@@ -72,6 +72,7 @@ class Commander:
         self.terminated = False
         self.landed = True
         self.has_position = True
+        self.upright = True
         self.forced_rejections = ForcedRejections()
         self.texts: deque[tuple[TextSeverity, str]] = deque(maxlen=32)
         self._parameters = parameters
@@ -99,7 +100,7 @@ class Commander:
 
     def may_arm(self, time: float) -> bool:
         """Whether the preflight checks pass in the present mode."""
-        if self.mode.needs_pilot or self.mode.prevents_arming:
+        if self.mode.needs_pilot or self.mode.prevents_arming or not self.upright:
             return False
         return self.mode is not Mode.OFFBOARD or self.offboard.may_begin(time, self._loss_time)
 

@@ -23,6 +23,7 @@ FaultKind = Literal[
     "estimate_freeze",
     "estimate_stop",
     "estimate_move",
+    "estimate_drift",
     "stamps_ahead",
     "reboot",
     "clock_jump",
@@ -38,6 +39,7 @@ FaultKind = Literal[
     "gnss_loss",
     "gnss_glitch",
     "held",
+    "knock",
     "effect",
 ]
 COMMAND_PERIOD = 0.016  # s between setpoints of another controller, whose beat is not ours
@@ -52,12 +54,13 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at: when it begins, s after the event that `after` names.
     after: the mock's start, the arming, the take-off or the first contact with the ground after flight.
     duration: s, without end by default; an estimator reset and a clock jump happen at once.
-    shift: of an estimator reset or of an estimate that moves without one, ENU, m.
-    yaw: of both, about up, rad.
+    shift: of an estimator reset, or of an estimate that moves or drifts without one, ENU, m.
+    yaw: of these, about up, rad.
     seconds: of a clock jump, negative for backwards; the longest delay of a frame by link_jitter; of stamps_ahead.
     probability: of a frame's loss, duplication or delay.
     rate: of a message flood, frames per second.
     setpoint: body rates, FLU, rad/s, and thrust, 0..1, that another controller sends 60 times a second.
+    rates: FLU, rad/s, that a knock adds to the body rates at once.
     values: of an effect, by name: {"weak_rotor[2].loss" = 0.15}; the scenario has the effect from its start.
     """
 
@@ -71,6 +74,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     probability: float = 0.2
     rate: float = 10_000.0
     setpoint: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.5)
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     values: dict[str, float] = {}
 
     def __post_init__(self) -> None:
@@ -78,6 +82,8 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise RequestError(
                 f"fault {self.kind}: at = {self.at}, duration = {self.duration}: wanted seconds, at >= 0, duration > 0"
             )
+        if self.kind == "estimate_drift" and math.isinf(self.duration):
+            raise RequestError("fault estimate_drift: wanted the duration in which the estimate drifts, s")
         if not 0.0 <= self.probability <= 1.0:
             raise RequestError(f"fault {self.kind}: probability = {self.probability}: wanted 0 to 1")
 
@@ -103,6 +109,7 @@ class FaultSchedule:
         self._origin: dict[Start, float] = {"start": 0.0}
         self._flown = False
         self._next_command = 0.0
+        self._applied = 0.0
 
     def apply(self, time: float) -> None:
         """Begin what is due and end what is over at a simulated time, s."""
@@ -117,6 +124,8 @@ class FaultSchedule:
             self._running.remove((end, fault))
             ACTIONS[fault.kind](self._targets, fault, False)
         self._command(time)
+        self._drift(time - self._applied)
+        self._applied = time
         for fault in [fault for fault in self._waiting if self._begins(fault) <= time]:
             self._waiting.remove(fault)
             ACTIONS[fault.kind](self._targets, fault, True)
@@ -131,6 +140,13 @@ class FaultSchedule:
                 *rates, thrust = fault.setpoint
                 setpoint = ControlSetpoint("rates", rate_body=np.array(rates), thrust=thrust)
                 self._targets.commander.offboard.feed(time, setpoint)
+
+    def _drift(self, elapsed: float) -> None:
+        """Move the estimate on, where it drifts. elapsed: s."""
+        for _, fault in self._running:
+            if fault.kind == "estimate_drift":
+                share = elapsed / fault.duration
+                self._targets.estimate.move(share * np.array(fault.shift), share * fault.yaw)
 
     def _note_touchdown(self, time: float) -> None:
         force = self._targets.vehicle.ground_force
@@ -163,6 +179,10 @@ def _stopped(targets: FaultTargets, _: Fault, begins: bool) -> None:
 def _moved(targets: FaultTargets, fault: Fault, begins: bool) -> None:
     sign = 1.0 if begins else -1.0
     targets.estimate.move(sign * np.array(fault.shift), sign * fault.yaw)
+
+
+def _drifts(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    """It moves while it runs: see FaultSchedule."""
 
 
 def _stamp_early(targets: FaultTargets, fault: Fault, begins: bool) -> None:
@@ -238,6 +258,11 @@ def _held(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.vehicle.hold(begins)
 
 
+def _knock(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    if begins:
+        targets.vehicle.knock(np.array(fault.rates))
+
+
 def _effect(targets: FaultTargets, fault: Fault, begins: bool) -> None:
     if begins:
         targets.vehicle.change(fault.values)
@@ -249,6 +274,7 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "estimate_freeze": _frozen,
     "estimate_stop": _stopped,
     "estimate_move": _moved,
+    "estimate_drift": _drifts,
     "stamps_ahead": _stamp_early,
     "reboot": _reboot,
     "clock_jump": _clock_jump,
@@ -264,5 +290,6 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "gnss_loss": _gnss_loss,
     "gnss_glitch": _gnss_glitch,
     "held": _held,
+    "knock": _knock,
     "effect": _effect,
 }

@@ -312,6 +312,11 @@ class SimulatedVehicle:
         self._constants["held"][:] = held
         self._constants["held_at"][:] = self.truth.position_world
 
+    def knock(self, rate_body: Floats) -> None:
+        """Turn the vehicle by a blow. rate_body: (3,) rad/s that it adds."""
+        place = self.plant.state.places["plant"].start
+        self._loop.state[place + RATE.start : place + RATE.stop] += rate_body
+
     @property
     def ground_force(self) -> float:
         """Share of the weight that the ground carries now."""

@@ -186,6 +186,9 @@ class Vehicle(Protocol):
     def hold(self, held: bool) -> None:
         """Let a hand hold the vehicle where it is, or let go of it."""
 
+    def knock(self, rate_body: Floats) -> None:
+        """Turn the vehicle by a blow. rate_body: (3,) rad/s that it adds."""
+
     def change(self, values: Mapping[str, float]) -> None:
         """Change constants of the flight model from now on, by name."""
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.quaternion import exponential, multiply, normalise, rotate
 from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
 
@@ -59,6 +60,9 @@ class KinematicVehicle:
     @property
     def ground_force(self) -> float:
         return float(self.on_ground)
+
+    def knock(self, rate_body: Floats) -> None:
+        """A blow does not turn this vehicle."""
 
     def hold(self, held: bool) -> None:
         self.held = held

@@ -54,3 +54,22 @@ def test_setpoints_that_alternate_from_tick_to_tick_are_detected_at_the_limit(
     assert set(health.flight(state, 3.0, learned=True)) == events
     health.rest()
     assert health.flight(state, 3.0, learned=True) == {}
+
+
+def refused_after(arpl_250g: Vehicle, miss: float, seconds: float) -> bool:
+    """Whether rates that miss their setpoints by so much, rad/s, for so long end a flight that went well before."""
+    health, refused = FlightHealth(arpl_250g), False
+    for tick in range(500):
+        now, since = PERIOD * tick, PERIOD * tick - 2.0
+        health.sent(np.zeros(3), 1.0, now)
+        rate = miss if 0.0 <= since < seconds else 0.0
+        state = np.array([*[0.0] * 6, 1.0, *[0.0] * 3, rate, 0.0, 0.0])
+        refused |= Event.SETPOINT_REFUSED in health.flight(state, now)
+    return refused
+
+
+def test_a_blow_that_is_taken_up_within_a_moment_is_no_refusal_of_setpoints(arpl_250g: Vehicle) -> None:
+    """25 rad/s for 0.3 s turn a vehicle over; a vehicle that acts on nothing goes on to miss."""
+    assert not refused_after(arpl_250g, 25.0, 0.3)
+    assert refused_after(arpl_250g, 25.0, 2.0)
+    assert refused_after(arpl_250g, 1.2 * LIMITS.unfollowed, 3.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 
 from sitl_mock.wire.dialect import mavlink
@@ -199,6 +202,16 @@ def test_arming_is_refused_in_modes_that_prevent_it_or_need_a_pilot() -> None:
     for main, sub in ((4, 5), (4, 6), (1, 0), (3, 0)):
         assert bench.request(SET_MODE, 1, main, sub) == ACCEPTED
         assert bench.request(ARM, 1) == TEMPORARILY_REJECTED
+
+
+def test_arming_is_refused_to_a_vehicle_that_has_tipped_over() -> None:
+    bench = Bench()
+    bench.vehicle.attitude = np.array([math.cos(1.41), math.sin(1.41), 0.0, 0.0])  # 162 degrees of roll
+    bench.run(0.1)
+    assert bench.request(ARM, 1) == TEMPORARILY_REJECTED
+    bench.vehicle.attitude = np.array([1.0, 0.0, 0.0, 0.0])
+    bench.run(0.1)
+    assert bench.request(ARM, 1) == ACCEPTED
 
 
 def test_termination_stops_the_rotors() -> None:

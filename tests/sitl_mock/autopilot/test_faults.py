@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from dynamics.errors import RequestError
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.wire.dialect import mavlink
 from tests.support.bench import ARM, LAND, SET_MODE, Bench
@@ -230,3 +231,19 @@ def test_a_fault_may_wait_for_the_contact_after_flight() -> None:
     bench.until(lambda: bench.vehicle.on_ground)
     bench.run(0.1)
     assert bench.mock.estimate_fault.frozen
+
+
+def test_an_estimate_drifts_as_far_as_it_is_to_and_stays_there() -> None:
+    bench = bench_with("estimate_drift", duration=1.0, shift=(0.0, 0.5, 0.7))
+    bench.run(1.5)
+    half = bench.of("ODOMETRY")[-1]
+    bench.run(1.5)
+    last = bench.of("ODOMETRY")[-1]
+    assert half.x == pytest.approx(0.25, abs=0.03)
+    assert (last.x, last.y, last.z) == pytest.approx((0.5, 0.0, -0.7), abs=0.01)
+    assert last.reset_counter == half.reset_counter
+
+
+def test_a_drift_needs_its_duration() -> None:
+    with pytest.raises(RequestError, match="estimate_drift: wanted the duration"):
+        bench_with("estimate_drift")

@@ -405,3 +405,12 @@ def test_a_mean_rotor_speed_is_that_of_the_last_milliseconds_with_the_sensors_fa
     mean = np.mean(speeds, axis=0)
     assert np.ptp([s[0] for s in speeds]) > 10.0
     np.testing.assert_allclose(mock.mean_rotor_speed(0.01), mean * [1.0, 0.5, 1.0, 1.0], rtol=1e-6)
+
+
+def test_a_blow_adds_to_the_body_rates_and_to_nothing_else(arpl_250g: Vehicle) -> None:
+    mock = SimulatedVehicle(arpl_250g, options=QUIET)
+    before = mock.truth
+    mock.knock(np.array([5.0, -3.0, 1.0]))
+    mock.advance(IDLE, False, 0.001)
+    np.testing.assert_allclose(mock.truth.position_world, before.position_world, atol=0.01)
+    assert np.abs(mock.truth.rate_body - [5.0, -3.0, 1.0]).max() < 1.0
