@@ -23,7 +23,7 @@ WINDOW = 0.3  # s over which a change of velocity is measured
 NOISE = 0.2  # m/s of such a change, of both together: PX4's in its own simulation are 0.09 and 0.06
 MEMORY = 2.0  # s
 CERTAIN = 5.0  # standard deviations of the angle
-LEAST = 0.5  # (m/s)^2, sum of the squared changes: what biases and noise have in hover is a quarter of it
+MIN_EXCITATION = 0.5  # (m/s)^2, sum of the squared changes: what biases and noise have in hover is a quarter of it
 WRONG = 0.5  # rad of a heading's error, from which the position's control has little damping left
 MAX_GAP = 0.1  # s between two estimates
 
@@ -97,7 +97,7 @@ class ConsistentHeading:
         self._excitation = share * self._excitation + east**2 + north**2
         self._begin_window()
         error = atan2(self._across, self._along)
-        deviation = NOISE / sqrt(self._excitation) if self._excitation > LEAST else inf
+        deviation = NOISE / sqrt(self._excitation) if self._excitation > MIN_EXCITATION else inf
         wrong = abs(remainder(error - self.correction, tau))
         if isfinite(deviation) and wrong > max(WRONG, CERTAIN * deviation) and self._explains:
             self._detail = f"by {degrees(error):.0f} degrees, +- {degrees(deviation):.0f}"
