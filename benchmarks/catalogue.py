@@ -139,6 +139,7 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("runtime",),
             ("--minutes-100", "0.05", "--minutes-200", "0.05"),
         ),
+        "tick": Measurement("benchmarks.link.tick:tick", ("tick",), ("runtime",), ("--seconds", "2", "--rates", "100")),
         "recorder": Measurement(
             "benchmarks.link.daemon:recorder", ("recorder_cost",), ("runtime/record",), ("--seconds", "1")
         ),

@@ -1,4 +1,4 @@
-"""Solvers that a wheel carries, so that the vehicles it ships fly without CasADi and a compiler.
+"""Solvers, and the tick in C, that a wheel carries, so that the vehicles it ships fly without CasADi and a compiler.
 
 python -m export.prebuilt aarch64 FOLDER
 """
@@ -22,7 +22,8 @@ from runtime.control.kernel_model import kernel_facts
 from runtime.control.rti.compilation import ENTRY, solver_recipe
 from runtime.control.rti.prebuilt import FACTS, facts_key, prebuilt_path
 from runtime.control.rti.problem import Problem
-from runtime.control.rti.processor import PROCESSORS
+from runtime.control.rti.processor import PROCESSORS, Processor
+from runtime.tick.library import build_tick, prebuilt_tick
 from vehicles import FOLDER
 
 LEFT_OUT = ("avx512",)  # of x86 processors, each has at least one of the others
@@ -40,14 +41,15 @@ def main() -> None:
 
 
 def build_prebuilt(machine: str, folder: Path) -> list[Path]:
-    """Solvers and facts of the bundled vehicles, and of any without effects with 4, 6 or 8 rotors.
+    """The tick in C, solvers and facts of the bundled vehicles, and of any without effects with 4, 6 or 8 rotors.
 
     Raises RequestError where the compiler for the machine is missing.
     """
     made, facts = list[Path](), dict[str, object]()
-    for processor in PROCESSORS.values():
-        if processor.machine != machine or processor.name in LEFT_OUT:
-            continue
+    tick = prebuilt_tick(folder, machine)
+    tick.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(build_tick(compiler_for(_of(machine)[0])), tick)
+    for processor in _of(machine):
         compiler = compiler_for(processor)
         for vehicle in _vehicles():
             model, problem = build_model(vehicle), Problem.from_settings(vehicle.controller)
@@ -58,7 +60,12 @@ def build_prebuilt(machine: str, folder: Path) -> list[Path]:
             made.append(path)
             facts[facts_key(vehicle)] = kernel_facts(model)
     (folder / FACTS).write_bytes(msgspec.json.encode(facts))
-    return [*dict.fromkeys(made), folder / FACTS]
+    return [*dict.fromkeys(made), tick, folder / FACTS]
+
+
+def _of(machine: str) -> list[Processor]:
+    """The processors of a machine that solvers are built for."""
+    return [each for each in PROCESSORS.values() if each.machine == machine and each.name not in LEFT_OUT]
 
 
 def _vehicles() -> Iterator[Vehicle]:

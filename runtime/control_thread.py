@@ -22,10 +22,12 @@ from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest, Transition
 from runtime.flight.events import POLICIES, Event, EventChange
 from runtime.flight.flyer import Flyer
+from runtime.flight.tick_plan import leaves_tick
 from runtime.flight.tracking import Tracking
 from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
 from runtime.link.rotors import RotorReading
+from runtime.link.telemetry import VehicleStatus
 from runtime.link.vehicle_link import VehicleLink
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -41,8 +43,9 @@ from runtime.record.records import (
     TickRecord,
 )
 from runtime.setpoint_stream import SetpointStream
-from runtime.telemetry_buffer import TelemetryBuffer
+from runtime.telemetry_buffer import LinkUpdate, TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
+from runtime.urgent_tick import Sent, UrgentTick
 
 HORIZON_EVERY = 10  # ticks between recorded horizons, and between records of what the model follows
 STOP_PATIENCE = 0.6  # s in which the flight logic ends the stream after a request to stop
@@ -79,6 +82,8 @@ class ControlThread:
     first_setpoint: when it was sent, s, monotonic; NaN before.
     defect: the last exception of a tick, empty when there was none.
     ticks: done so far.
+    answered: of them, those whose setpoint left by `alula_tick`.
+    urgent: these ticks, None where all are Python's.
     stream: of setpoints, for the supervisor's watch.
     """
 
@@ -94,6 +99,7 @@ class ControlThread:
         processor: int | None = None,
         recorder: Recorder | None = None,
         clock: Callable[[], float] = time.monotonic,
+        urgent: UrgentTick | None = None,
     ) -> None:
         """period: s. priority: of SCHED_FIFO, None for none. processor: that the thread stays on, None for any.
 
@@ -113,7 +119,10 @@ class ControlThread:
         self._recorder = recorder
         self._estimate: StateEstimate | None = None
         self._free = self._busy_before = self._busy_at_departure = 0.0
-        self.ticks = self._defects = 0
+        self.ticks = self.answered = self._defects = 0
+        self.urgent = urgent
+        self._planned_findings: dict[Event, str] = {}
+        self._planned_status = VehicleStatus()
         self._failed = False
         self._preparation = 0.0
         self._recorded_phase = flyer.mission.phase
@@ -144,15 +153,21 @@ class ControlThread:
             self._leave()
 
     def _run_ticks(self) -> None:
+        if self.urgent is not None and self.urgent.start():
+            self._telemetry.on_change = self.stream.on_hold = self.urgent.disarm
         start = self._free = self._clock()
         schedule = Schedule(self._period, start=start)
         while not self._flyer.over and not self._stopped_for_good():
             schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
+            sent = None if self.urgent is None else self.urgent.claim()
             woken, busy = self._clock(), self._processor_time()
+            if sent is not None:
+                due, woken, by_clock, self._estimate = sent.estimate.received, sent.now, False, sent.estimate
             schedule.ticked(due, woken, by_clock=by_clock)
             try:
-                self._fly(due, by_clock, woken, busy)
+                self._fly(due, by_clock, woken, busy, sent)
+                self._arm(schedule)
                 self._defects = 0
             except Exception as error:  # a defect of ours must degrade the flight, not end it
                 self._defects += 1
@@ -185,6 +200,8 @@ class ControlThread:
 
     def _leave(self) -> None:
         """End a stream that the flight logic did not end: by a setpoint that may be held, and a mode that lands."""
+        if self.urgent is not None:
+            self.urgent.disarm()
         if self.stream.close():
             self.autopilot_requests.put(AutopilotRequest.LAND)
         if self._defects >= MAX_DEFECTS or self._failed:
@@ -201,11 +218,31 @@ class ControlThread:
             if schedule.is_due(newest.received):
                 return newest.received, False
 
-    def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float) -> None:
-        observation = self._observe(woken)
+    def _arm(self, schedule: Schedule) -> None:
+        """Let the next estimate be answered in C where the flight logic, and what is observed, leave no doubt how."""
+        if self.urgent is None or (plan := self._flyer.plan()) is None or self._requests.stop or self._requests.engage:
+            return
+        now = self._clock()
+        if self._telemetry.must_be_read or (self._requests.leave and not self._flyer.mission.landing_reason):
+            return
+        status, self._planned_findings = self._link.status, self._findings(now)
+        if not (status.armed and status.mode == "OFFBOARD" and leaves_tick(self._planned_findings)):
+            return
+        self._planned_status = status
+        self.urgent.arm(plan, schedule.earliest)
+        newest = self._link.status
+        reported = newest.armed, newest.mode, newest.landed
+        if self._telemetry.must_be_read or reported != (status.armed, status.mode, status.landed):  # after the look
+            self.urgent.disarm()
+
+    def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float, sent: Sent | None = None) -> None:
+        observation = self._observe(woken, answered=sent is not None)
         estimate = self._estimate
-        decision = self._flyer.step(observation, estimate)
-        self.stream.send(decision)
+        if sent is None:
+            decision = self._flyer.step(observation, estimate)
+            self.stream.send(decision)
+        else:
+            decision = self._take_sent(observation, sent)
         if decision.rate_body is not None:
             x, y, z = decision.rate_body.tolist()
             self._telemetry.echo.sent(self.stream.newest, (x, y, z), decision.thrust)
@@ -213,6 +250,8 @@ class ControlThread:
             self.first_setpoint = self.stream.newest
         departed, self._busy_at_departure = self._clock(), self._processor_time()
         busy = self._busy_at_departure - busy_at_start
+        if sent is not None:
+            departed, busy, self._busy_at_departure = sent.departed, sent.busy, busy_at_start
         times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
         cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
         self._flyer.prepare(observation.time)
@@ -220,9 +259,22 @@ class ControlThread:
         self._publish(decision)
         self._record(observation, estimate, decision, times, cause)
 
-    def _observe(self, now: float) -> ObservationRecord:
-        status, update = self._link.status, self._telemetry.take()
-        findings = {**update.events, **self._requests.slow_findings}
+    def _take_sent(self, observation: ObservationRecord, sent: Sent) -> Decision:
+        """The flight logic's decision of a tick whose setpoint has left; that is compared with it, and counts."""
+        self.answered += 1
+        decision = self._flyer.step(observation, sent.estimate, sent.answer)
+        if not sent.equals(decision):  # a defect of ours: what has left is what the flight goes on with
+            left, decided = (sent.rate_body, sent.thrust), (decision.rate_body, decision.thrust)
+            self.defect = f"tick {self.ticks}: the setpoint {left} left, the flight logic decided {decided}"
+            self._put(TextRecord(observation.time, "daemon", 3, self.defect), observation.time)
+            decision.rate_body, decision.thrust = sent.rate_body, sent.thrust
+            decision.collective_thrust = sent.collective_thrust
+        self.stream.take(decision, sent.departed)
+        return decision
+
+    def _findings(self, now: float) -> dict[Event, str]:
+        """The events that this computer finds, beside those of the link's messages."""
+        status, findings = self._link.status, dict(self._requests.slow_findings)
         if not self._link.is_connected(now):
             findings[Event.LINK_LOST] = f"for {now - status.last_heard:.1f} s"
         if self.deadlines.recent_share > LATE_SHARE:
@@ -230,12 +282,34 @@ class ControlThread:
         follows = status.armed and status.mode == "OFFBOARD" and self.stream.open
         if other := self._telemetry.echo.finding(now, judged=follows):
             findings[Event.OTHER_CONTROLLER] = other
-        engage, self._requests.engage = self._requests.engage, False
+        return findings
+
+    def _observe(self, now: float, *, answered: bool) -> ObservationRecord:
+        """All that is known now; of a tick that was answered, what was known when it was armed, and new samples."""
+        if answered:
+            status, update, findings = self._planned_status, self._telemetry.take_samples(), self._planned_findings
+            return self._observation(now, status, update, findings, answered=True)
+        status, update = self._link.status, self._telemetry.take()
+        findings = {**update.events, **self._findings(now)}
+        observation = self._observation(now, status, update, findings, engage=self._requests.engage)
+        self._requests.engage = False
+        return observation
+
+    def _observation(
+        self,
+        now: float,
+        status: VehicleStatus,
+        update: LinkUpdate,
+        findings: Mapping[Event, str],
+        *,
+        engage: bool = False,
+        answered: bool = False,
+    ) -> ObservationRecord:
         return ObservationRecord(
             tick=self.ticks,
             time=now,
             estimate_arrival=self._estimate.received if self._estimate is not None else nan,
-            connected=self._link.is_connected(now),
+            connected=answered or self._link.is_connected(now),
             armed=status.armed,
             offboard=status.mode == "OFFBOARD",
             mode=status.mode,
@@ -247,8 +321,9 @@ class ControlThread:
             specific_force_z=float(update.specific_force_body[2]),
             specific_force_xy=update.specific_force_body[:2],
             engage=engage,
-            leave=self._requests.leave,
-            stop=self._requests.stop,
+            leave="" if answered and not self._flyer.mission.landing_reason else self._requests.leave,
+            stop=not answered and self._requests.stop,
+            answered=answered,
             battery_voltage=update.battery_voltage,
             **_rotor_fields(update.rotors),
         )

@@ -39,6 +39,7 @@ from runtime.stream_requests import StreamRequests
 from runtime.stream_watch import StreamWatch
 from runtime.supervisor import REQUEST_PATIENCE, SchedulingReport, Supervisor
 from runtime.telemetry_buffer import TelemetryBuffer
+from runtime.urgent_tick import UrgentTick
 
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SETTLING_TIME = 1.5  # s, at most, in which clock and streams settle before their state is reported
@@ -165,6 +166,7 @@ class Daemon:
             priority=scheduling.priority,
             processor=request.processor,
             recorder=self._recorder,
+            urgent=UrgentTick.of(link, flyer),
         )
         return flyer, control
 

@@ -32,6 +32,7 @@ class SetpointStream:
 
     newest: when the last setpoint left, s, monotonic; -inf before the first.
     open: whether the flight logic has not ended the stream since.
+    on_hold: called before a setpoint that may be held is sent in place of the flight logic's.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class SetpointStream:
     ) -> None:
         """clock: of the flight, s."""
         self._clock = clock
+        self.on_hold: Callable[[], None] | None = None
         self.newest = -float("inf")
         self.open = False
         self._link, self._record = link, record
@@ -59,6 +61,13 @@ class SetpointStream:
         self._link.send_rate_setpoint((x, y, z), decision.thrust)
         self.newest = self._clock()
 
+    def take(self, decision: Decision, departed: float) -> None:
+        """Take a decision whose setpoint has left already. departed: s."""
+        assert decision.rate_body is not None
+        x, y, z = decision.rate_body.tolist()
+        self._last, self._held_thrust = ((x, y, z), decision.thrust), decision.held_thrust
+        self.open, self.newest = True, departed
+
     def close(self) -> bool:
         """End an open stream with a setpoint that may be held, by the thread that sends. Returns whether it was in use.
 
@@ -73,6 +82,8 @@ class SetpointStream:
 
     def hold(self, send: Callable[[Rates, float], object]) -> None:
         """Send the setpoint that may be held several times, by a function for this thread."""
+        if self.on_hold is not None:
+            self.on_hold()
         for copy in range(COPIES):
             if copy:
                 time.sleep(SPACING)

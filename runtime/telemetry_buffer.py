@@ -7,7 +7,7 @@ because only immutable objects pass from one to the other.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite, nan
 
 import msgspec
@@ -47,12 +47,17 @@ LINK_EVENTS: Mapping[str, Event] = {
     "estimator_reset": Event.ESTIMATOR_RESET,
     "battery_low": Event.BATTERY_LOW,
 }
+TICK_EVENTS = frozenset((*LINK_EVENTS, "mode_changed", "disarmed", "landed_state", "link_lost", "vehicle_silent"))
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}
 NO_SHIFT = np.zeros(3)
 NO_FORCE = np.full(3, nan)
 RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
 MIN_ARRIVALS = 5  # within that window
 LOW_CHARGE = 0.1  # remaining charge, 0..1, below which BATTERY_LOW is raised
+
+
+def _no_one() -> None:
+    """Nobody waits for changes."""
 
 
 class LinkUpdate(msgspec.Struct, frozen=True):
@@ -83,6 +88,7 @@ class TelemetryBuffer:
     notifications: events of the link, for the supervisor.
     echo: of setpoints, for the control thread.
     rotor_reader: of the messages about motors; None where nobody needs their speeds.
+    on_change: called by the link's thread for what no tick may leave out: an event of the flight, a reset, a mode.
     """
 
     def __init__(self, recorder: Recorder | None = None) -> None:
@@ -94,6 +100,7 @@ class TelemetryBuffer:
         self._rotors: RotorReading | None = None
         self._voltage = nan
         self.echo = SetpointEcho()
+        self.on_change: Callable[[], None] = _no_one
         self.rotor_reader: RotorReader | None = None
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
@@ -111,11 +118,14 @@ class TelemetryBuffer:
     def event(self, event: LinkEvent) -> None:
         """An event of the link."""
         self._events.append(event)
+        if event.name in TICK_EVENTS:
+            self.on_change()
         self.notifications.append(event)
         self._put(TextRecord(event.time, "link", SEVERITIES[event.severity], f"{event.name}: {event.text}"), event.time)
 
     def reset(self, step: ResetStep) -> None:
         """An estimator reset; called before the estimate that it moved."""
+        self.on_change()
         self._resets.append((step.position_world, step.yaw))
 
     def reaction(self, reaction: Reaction) -> None:
@@ -135,6 +145,18 @@ class TelemetryBuffer:
         times = [arrival for arrival in tuple(self._arrivals) if arrival > now - RATE_WINDOW]
         return arrival_rate(times, now) if len(times) >= MIN_ARRIVALS else 0.0
 
+    @property
+    def must_be_read(self) -> bool:
+        """Whether there are events of the flight, or resets of the estimator, that nobody has taken."""
+        return bool(self._resets) or any(event.name in LINK_EVENTS for event in tuple(self._events))
+
+    def take_samples(self) -> LinkUpdate:
+        """Messages received since the last call, without events and resets, which the next `take` has."""
+        force, self._force = self._force, NO_FORCE
+        rotors, self._rotors = self._rotors, None
+        voltage, self._voltage = self._voltage, nan
+        return LinkUpdate({}, False, NO_SHIFT, 0.0, force, rotors, voltage)
+
     def take(self) -> LinkUpdate:
         """Messages received since the last call."""
         events: dict[Event, str] = {}
@@ -146,10 +168,9 @@ class TelemetryBuffer:
         while self._resets:
             shift, turn = self._resets.popleft()
             position, yaw = position + shift, yaw + turn
-        force, self._force = self._force, NO_FORCE
-        rotors, self._rotors = self._rotors, None
-        voltage, self._voltage = self._voltage, nan
-        return LinkUpdate(events, reset, position, yaw, force, rotors, voltage)
+        return msgspec.structs.replace(
+            self.take_samples(), events=events, reset=reset, reset_position=position, reset_yaw=yaw
+        )
 
     def _estimate(self, estimate: StateEstimate) -> None:
         self._arrivals.append(estimate.received)
@@ -182,6 +203,7 @@ class TelemetryBuffer:
                 self._voltage = sample.voltage
                 self._put(BatteryRecord(sample.received, *charge), sample.received)
                 if sample.remaining < LOW_CHARGE:
+                    self.on_change()
                     self._events.append(
                         LinkEvent(sample.received, "battery_low", "error", f"{sample.remaining:.0%} left")
                     )

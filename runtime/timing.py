@@ -85,9 +85,14 @@ class Schedule:
         """When the clock triggers the next tick."""
         return self._last + (1.5 if self.estimates_keep_up else 1.0) * self.period
 
+    @property
+    def earliest(self) -> float:
+        """Arrival of the first estimate that triggers the next tick."""
+        return self._last + 0.5 * self.period
+
     def is_due(self, arrival: float) -> bool:
         """Whether an estimate that arrived at this time triggers a tick."""
-        return arrival >= self._last + 0.5 * self.period
+        return arrival >= self.earliest
 
     def ticked(self, due: float, now: float, *, by_clock: bool) -> None:
         """A tick that was due then, by the clock or an estimate, runs now; missed ones are left out."""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -108,6 +108,19 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         return msgspec.structs.replace(self, problem=compiled if self.problem == Problem() else problem)
 
 
+class CommandHistory(NamedTuple):
+    """The last commands of a controller, by turns: command k is at k % HISTORY.
+
+    times: (HISTORY,) s, when they acted. inputs: (HISTORY, n) rad/s. hidden: (HISTORY, m) the model's hidden states
+    then. total: so far.
+    """
+
+    times: Floats
+    inputs: Floats
+    hidden: Floats
+    total: int
+
+
 @dataclass(frozen=True)
 class Command:
     """The setpoint of one tick.
@@ -138,10 +151,25 @@ class Command:
         return self.status == CUT
 
 
+@dataclass(frozen=True)
+class Answer:
+    """A feedback that `alula_tick` has computed with a controller's solver.
+
+    measured: (nx,) the whole state at the estimate.
+    acting: (nx,) the same when the command acts.
+    command: before the flight's limits.
+    """
+
+    measured: Floats
+    acting: Floats
+    command: Command
+
+
 class Controller:
     """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock.
 
     trim: the vehicle without effects that has the model's weight and thrust in hover.
+    max_step: s that the model is propagated in one piece.
     """
 
     def __init__(
@@ -150,11 +178,11 @@ class Controller:
         """bundle: of the model; its kernel is the solver. library: compiled code of the model, without a bundle."""
         self.model, self.options = model, options
         self.solver = RtiSolver(model, options.problem, library if bundle is None else bundle.kernel)
-        self._max_step = MAX_STEP
+        self.max_step = MAX_STEP
         self._columns: ColumnHistory | None = None
         if bundle is not None and bundle.manifest.learned:
             manifest = bundle.manifest
-            self._max_step = manifest.dt
+            self.max_step = manifest.dt
             self._columns = ColumnHistory(len(self.solver.history), manifest.dt, model.input_count)
             self._range = TrainingRange.from_bundle(bundle)
             errors = manifest.errors
@@ -306,12 +334,41 @@ class Controller:
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
         rate = self._rate_setpoint(speed, time + self.options.delay)
-        thrust = float(self.collective_thrust(speed))
-        command = Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
+        command = Command(rate, self._thrust_of(speed), speed, status, self.solver.report.feedback_seconds)
         self._take_state(state, time)
         if not command.fault:
             self._remember(self._acting, speed)
         return command
+
+    def take(self, answer: Answer, taken: float, now: float) -> Command:
+        """The command of a feedback that this solver has given already, for an estimate of the time `taken`."""
+        if self.adaptation is not None:
+            self.adaptation.measure(taken, answer.measured, None)
+        self._take_state(answer.acting, now)
+        self._remember(self._acting, answer.command.rotor_speed)
+        return answer.command
+
+    @property
+    def commands(self) -> CommandHistory:
+        """The commands so far, views."""
+        return CommandHistory(self._times, self._inputs, self._hidden, self._ticks)
+
+    @property
+    def leads(self) -> tuple[Floats, Floats, bool]:
+        """How far rate setpoints look ahead, (3,) s and (3,) nodes, and whether along the commanded slope."""
+        return self._lead, self._lookahead, self._leads_lag
+
+    @property
+    def thrust_constants(self) -> Floats:
+        """(n,) N s^2/rad^2."""
+        return self._thrust_constants
+
+    def _thrust_of(self, speed: Floats) -> float:
+        """Thrust of all rotors, N, summed one after the other, as `alula_tick` does. speed: (n,) rad/s."""
+        thrust = 0.0
+        for value in (speed * speed * self._thrust_constants).tolist():
+            thrust += value
+        return thrust
 
     def _rate_setpoint(self, speed: Floats, acting: float) -> Floats:
         """The body rates (3,), rad/s, to command for the rotor speeds (nu,), rad/s, that act from a time on, s.
@@ -325,7 +382,7 @@ class Controller:
         self._settled[:] = self._command_states[0]
         for place in self.solver.rotor_speed_places:
             self._settled[place] = speed
-        step = min(self.options.problem.node, self._max_step)
+        step = min(self.options.problem.node, self.max_step)
         if self._columns is not None:
             self._columns.write_columns(acting, self.solver.history)
         settled = self.solver.propagate(self._settled, speed, step)[RATE]
@@ -423,7 +480,7 @@ class Controller:
         """Propagate the state from a time on. keep: whether its steps go into the history."""
         columns = self._columns
         while seconds > 1e-6:
-            step = min(seconds, self._max_step)
+            step = min(seconds, self.max_step)
             if columns is not None:
                 columns.write_columns(start, self.solver.history)
             self._state[:] = self.solver.propagate(self._state, speed, step)

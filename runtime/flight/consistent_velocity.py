@@ -7,6 +7,8 @@ velocity: it is pulled back to what is measured. The slope of the position errs 
 
 from __future__ import annotations
 
+from math import sqrt
+
 import msgspec
 import numpy as np
 
@@ -24,15 +26,16 @@ class ConsistentVelocity:
     """Corrects estimates by the running mean of the difference between slope of position and velocity.
 
     correction: (3,) m/s, world, of the last estimate.
+    before: the last estimate as it was received, None before the first.
     """
 
     def __init__(self) -> None:
         self.correction: Floats = np.zeros(3)
-        self._before: StateEstimate | None = None
+        self.before: StateEstimate | None = None
 
     def correct(self, estimate: StateEstimate, *, moved: bool) -> StateEstimate:
         """An estimate with its velocity corrected. moved: whether the estimator has moved its frame since the last."""
-        before, self._before = self._before, estimate
+        before, self.before = self.before, estimate
         if before is not None and not moved and 1e-3 < estimate.time - before.time < MAX_GAP:
             self._learn(before, estimate)
         state = estimate.state.copy()
@@ -49,5 +52,6 @@ class ConsistentVelocity:
 
 
 def _limited(vector: Floats, length: float) -> Floats:
-    """A vector no longer than a length."""
-    return vector * min(1.0, length / max(float(np.linalg.norm(vector)), 1e-9))
+    """A vector no longer than a length; in plain numbers, as `alula_tick` has the same to the last bit."""
+    x, y, z = vector.tolist()
+    return vector * min(1.0, length / max(sqrt(x * x + y * y + z * z), 1e-9))

@@ -7,7 +7,7 @@ from math import inf
 
 from dynamics.arrays import Floats
 from runtime.control.adaptation import Adaptation, FollowedValue
-from runtime.control.controller import Command, Controller
+from runtime.control.controller import Answer, Command, Controller
 from runtime.flight.events import Event, Fallback
 from runtime.flight.shifted import ShiftedSolution
 from runtime.link.estimate import StateEstimate
@@ -24,11 +24,13 @@ class ControllerPair:
     nominal: None where the main one flies the vehicle file's model already.
     prepared: whether the main controller is prepared for the next tick.
     shifted: the last solution and its continuation.
+    answer: that the main controller's solver has given to this tick's estimate already, None where it has not.
     """
 
     def __init__(self, main: Controller, nominal: Controller | None) -> None:
         self.main, self.nominal = main, nominal
         self.prepared = False
+        self.answer: Answer | None = None
         self.shifted = ShiftedSolution()
         self._nominal_ready = False
         self._flying = main
@@ -68,7 +70,11 @@ class ControllerPair:
             return None
         falls_back = fallback is Fallback.NOMINAL_MODEL and self._nominal_ready
         controller = self.nominal if falls_back and self.nominal is not None else self.main
-        command = controller.feedback(controller.compensate(estimate.state, estimate.time, time), time)
+        answer, self.answer = self.answer, None
+        if answer is None:
+            command = controller.feedback(controller.compensate(estimate.state, estimate.time, time), time)
+        else:
+            command = controller.take(answer, estimate.time, time)
         if command.fault:
             self._failed = controller
         else:

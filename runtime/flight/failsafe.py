@@ -17,7 +17,7 @@ from dynamics.arrays import Floats
 from runtime.flight.contact import UP, uprightness
 from runtime.flight.events import POLICIES, Event, Fallback, event_text
 
-_SUSTAINED = (Fallback.NONE, Fallback.NOMINAL_MODEL)  # what may be flown without end
+SUSTAINED = (Fallback.NONE, Fallback.NOMINAL_MODEL)  # what may be flown without end
 
 
 class FallbackBounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -116,7 +116,7 @@ class FallbackChain:
 
     def _refill(self, time: float) -> None:
         """Make both bounded fallbacks available in full again after a time in which no event required them."""
-        if any(POLICIES[event].fallback not in _SUSTAINED for event in self._active):
+        if any(POLICIES[event].fallback not in SUSTAINED for event in self._active):
             self._healthy_since = None
             return
         if self._healthy_since is None:

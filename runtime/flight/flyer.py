@@ -13,14 +13,15 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
-from runtime.control.controller import Command, Controller
+from runtime.control.controller import Answer, Command, Controller
 from runtime.flight.controller_pair import ControllerPair
 from runtime.flight.decision import Decision, Ending, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, Engagement, Facts, State
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
-from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
+from runtime.flight.failsafe import SUSTAINED, FallbackChain, LevelHold, level_rate
 from runtime.flight.flight_checks import FlightChecks
 from runtime.flight.ground_probe import Ground
+from runtime.flight.health import HealthLimits
 from runtime.flight.measurements import Measurements
 from runtime.flight.mission import Mission
 from runtime.flight.parting import Parting
@@ -30,6 +31,7 @@ from runtime.flight.settling import SHUTDOWN_TIME, Settling
 from runtime.flight.takeoff import HandOver
 from runtime.flight.takeoff_control import TakeoffControl
 from runtime.flight.thrust import EffectivenessEstimator, ThrustMap
+from runtime.flight.tick_plan import TickPlan, leaves_tick
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
@@ -97,13 +99,49 @@ class Flyer:
         return self.output.effectiveness
 
     @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle as it hovers."""
+        return self._vehicle
+
+    @property
+    def health_limits(self) -> HealthLimits:
+        """How old an estimate may be, and others."""
+        return self._checks.health.limits
+
+    @property
     def horizon(self) -> tuple[Floats, Floats] | None:
         """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
         main = self.controllers.main
         return (main.predicted_states, main.predicted_inputs) if self.controllers.prepared else None
 
-    def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
-        """Decide what to send now. estimate: the newest accepted one, the same object while there is no newer."""
+    def plan(self) -> TickPlan | None:
+        """The next tick, once this one is prepared, if the controller will fly it; None where that is not certain."""
+        main, flies = self.controllers.main, self.engagement.state is State.ENGAGED
+        if not flies or self.mission.policy.handler is not Handler.FLY or not self.controllers.prepared:
+            return None
+        milder = self.events.fallback in SUSTAINED and self._chain.current in SUSTAINED
+        lands = bool(self.events.landing_reason) and not self.mission.landing_reason
+        unusual = lands or self.events.sinks or bool(self._measured.heading.correction)
+        if (
+            unusual
+            or not milder
+            or self.controllers.nominal is not None
+            or main.is_learned
+            or not leaves_tick(self._checks.pending)
+        ):
+            return None
+        before, correction = self._measured.correction
+        limit, value = self.mission.policy.tilt_rate, self.effectiveness.value
+        return TickPlan(main, before, correction, limit, self.output.hand_over, value)
+
+    def step(
+        self, observation: ObservationRecord, estimate: StateEstimate | None, answer: Answer | None = None
+    ) -> Decision:
+        """Decide what to send now. estimate: the newest accepted one, the same object while there is no newer.
+
+        answer: that the solver has given to this estimate already. Where its setpoint has left as well, by the plan of
+        the tick before, the observation says so: then what is observed acts from the next tick on.
+        """
         decision, measured = Decision(), self._measured
         if observation.engage:
             decision.event_changes += self.events.rearm(observation.time)
@@ -116,20 +154,29 @@ class Flyer:
             self.mission.shift(ZERO, measured.heading.turned)
         if measured.fresh:
             self._take_estimate(observation)
+        self.controllers.answer = answer
+        if observation.answered:
+            self._fly(observation, decision)
+            assert decision.rate_body is not None
+            self._finish(observation, decision, decision.rate_body)
+            measured.take_turn()
         decision.event_changes += self.events.update(
             self._checks.present(observation, self._takeoff.pose, self.motors), observation.time
         )
         self._probe_ground(decision.event_changes, observation.time)
-        decision.fallback = self._choose_fallback(observation.time)
+        fallback = self._choose_fallback(observation.time)
         was_streaming, was_flying = self.engagement.streaming, self.engagement.flying
-        self._engage(observation, decision)
+        if not observation.answered:
+            decision.fallback = fallback
+        self._engage(observation, decision, fallback)
         if self.engagement.streaming:
             self._parting.cancel()
             self._command(observation, decision)
         elif was_streaming:
             self._part(observation, decision, flown=was_flying)
         if not self.engagement.streaming:
-            self._send_last(observation, decision)
+            if not observation.answered:
+                self._send_last(observation, decision)
             self._checks.health.rest()
         return decision
 
@@ -198,7 +245,7 @@ class Flyer:
 
     # --- engagement
 
-    def _engage(self, observation: ObservationRecord, decision: Decision) -> None:
+    def _engage(self, observation: ObservationRecord, decision: Decision, fallback: Fallback) -> None:
         was_flying = self.engagement.flying
         if was_flying and self.mission.policy.may_disarm and not observation.armed:
             self.mission.disarmed(observation.time)
@@ -209,7 +256,7 @@ class Flyer:
             offboard=observation.offboard,
             mode=observation.mode,
             refusal=self.events.refusal,
-            fallback=decision.fallback,
+            fallback=fallback,
             reason=self._chain.reason if was_flying else self.events.reason,
             standstill=self._checks.standstill,
         )
@@ -250,6 +297,10 @@ class Flyer:
     # --- setpoint
 
     def _command(self, observation: ObservationRecord, decision: Decision) -> None:
+        if observation.answered:
+            if self.engagement.flying:
+                self._look_for_ground(observation, decision.collective_thrust)
+            return
         if self.engagement.flying:
             match self.mission.policy.handler:
                 case Handler.WAIT:

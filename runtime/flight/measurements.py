@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from math import isnan, nan
 
+import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE
 from runtime.flight.consistent_heading import ConsistentHeading
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.events import Event
@@ -36,6 +38,7 @@ class Measurements:
         self._received: StateEstimate | None = None
         self._previous: StateEstimate | None = None
         self._observation: ObservationRecord | None = None
+        self._turned: Floats | None = None
         self.heading = ConsistentHeading()
         self._velocity, self._frozen = ConsistentVelocity(), FrozenEstimate()
 
@@ -53,13 +56,28 @@ class Measurements:
             self.heading.clear()
         if received is not None and self.fresh:
             moved_yaw = observation.reset_yaw if observation.reset else 0.0
-            estimate = self.heading.correct(received, force, moved_yaw=moved_yaw)
-            estimate = self._velocity.correct(estimate, moved=observation.reset)
+            consistent = self.heading.correct(received, force, moved_yaw=moved_yaw)
+            late = observation.answered and bool(self.heading.turned)
+            self._turned = consistent.attitude if late else None
+            estimate = self._velocity.correct(received if late else consistent, moved=observation.reset)
             self.state = estimate.state
         self._previous, self.estimate = self.estimate, estimate
         self.force = force
         self.voltage = observation.battery_voltage if observation.battery_voltage > 0 else self.voltage
         self._observation = observation
+
+    def take_turn(self) -> None:
+        """Correct the heading of an estimate that was answered before it was known to be wrong."""
+        if self._turned is None or self.estimate is None:
+            return
+        state = self.estimate.state.copy()
+        state[ATTITUDE], self._turned = self._turned, None
+        self.estimate, self.state = msgspec.structs.replace(self.estimate, state=state), state
+
+    @property
+    def correction(self) -> tuple[StateEstimate | None, Floats]:
+        """The last estimate as it was received, None before the first, and the correction (3,) m/s of its velocity."""
+        return self._velocity.before, self._velocity.correction
 
     def take_observation(self) -> ObservationRecord | None:
         """The last observation, once."""

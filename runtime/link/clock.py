@@ -215,6 +215,11 @@ class VehicleClock:
         """The time on our clock, s, of a time on the vehicle's."""
         return self._updated + (remote - self._offset - self._updated) / (1.0 + self._drift)
 
+    @property
+    def conversion(self) -> tuple[float, float, float, float]:
+        """Time of the last sample, s, offset then, s, drift, and until when they are valid, s: those of `to_ours`."""
+        return self._updated, self._offset, self._drift, self._valid_until
+
     def to_vehicle(self, ours: float) -> float:
         """The time on the vehicle's clock, s, of a time on ours."""
         return ours + self.offset(ours)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import acos, degrees, hypot, isfinite
+from math import acos, degrees, isfinite, sqrt
 from typing import Literal
 
 import msgspec
@@ -123,11 +123,12 @@ class EstimateLimits(msgspec.Struct, frozen=True):
 class EstimateMonitor:
     """Makes estimates from messages and accepts the plausible ones. Pure: times are arguments.
 
+    limits: of the checks.
     latest: the newest accepted one.
     """
 
     def __init__(self, limits: EstimateLimits | None = None) -> None:
-        self._limits = limits or EstimateLimits()
+        self.limits = limits or EstimateLimits()
         self.reset()
 
     def reset(self) -> None:
@@ -151,6 +152,16 @@ class EstimateMonitor:
             return _refused_frame("child_frame_id", odometry.child_frame_id, "1 (LOCAL_NED) or 12 (BODY_FRD)")
         return self._check(state, odometry.time, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
 
+    def adopt(self, estimate: StateEstimate, stamp: float) -> EstimateCheck:
+        """Take an estimate that `alula_tick` has checked and a setpoint has answered. stamp: of the vehicle, s."""
+        self._odometry_received, self._stamp = estimate.received, stamp
+        return self._accept(estimate)
+
+    @property
+    def stamp(self) -> float:
+        """The vehicle's stamp of the newest estimate, s; -inf before the first."""
+        return self._stamp
+
     def handle_local_position(self, message: Message, time: float) -> None:
         """Store a LOCAL_POSITION_NED message for the attitude that follows it."""
         self._local_position = (time, message)
@@ -159,11 +170,11 @@ class EstimateMonitor:
         self, message: Message, time: float, received: float, is_synchronised: bool
     ) -> EstimateCheck | None:
         """Check an ATTITUDE_QUATERNION message together with the latest position; None while ODOMETRY comes."""
-        if received - self._odometry_received < self._limits.odometry_silence or self._local_position is None:
+        if received - self._odometry_received < self.limits.odometry_silence or self._local_position is None:
             return None
         position_time, position = self._local_position
         step = time - position_time
-        if abs(step) > self._limits.odometry_silence:
+        if abs(step) > self.limits.odometry_silence:
             return None
         velocity = (position.vx, position.vy, position.vz)
         place = (position.x + step * position.vx, position.y + step * position.vy, position.z + step * position.vz)
@@ -182,8 +193,8 @@ class EstimateMonitor:
         is_synchronised: bool,
         source: Source,
     ) -> EstimateCheck:
-        latest, length = self.latest, hypot(*values[ATTITUDE])
-        if not isfinite(sum(values)) or not abs(length - 1.0) < self._limits.attitude_length:
+        latest, length = self.latest, sqrt(_dot(values[ATTITUDE], values[ATTITUDE]))
+        if not isfinite(sum(values)) or not abs(length - 1.0) < self.limits.attitude_length:
             return EstimateCheck(
                 None, "estimate_not_finite", "The estimate holds NaN or infinity, or no unit quaternion."
             )
@@ -194,7 +205,7 @@ class EstimateMonitor:
             factor = -factor
         values[ATTITUDE] = [factor * value for value in values[ATTITUDE]]
         state = np.array(values)
-        new = latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source
+        new = latest is None or received - latest.received > self.limits.forgotten_after or source != latest.source
         stamp = stamp if is_synchronised else time  # of no clock that is followed, it may be anything, 0 as well
         if latest is not None and not new and is_synchronised == latest.is_synchronised:
             age = self._stamp - stamp
@@ -214,11 +225,11 @@ class EstimateMonitor:
 
     def _out_of_range(self, values: list[float]) -> str:
         """The quantity that no vehicle of a local frame can have, empty where there is none."""
-        distance, speed = hypot(*values[POSITION]), hypot(*values[VELOCITY])
-        if distance > self._limits.max_distance:
-            return f"The estimated position is {distance:.3g} m from the origin, at most {self._limits.max_distance:g}."
-        if speed > self._limits.max_speed:
-            return f"The estimated speed is {speed:.3g} m/s, at most {self._limits.max_speed:g}."
+        distance, speed = _length(*values[POSITION]), _length(*values[VELOCITY])
+        if distance > self.limits.max_distance:
+            return f"The estimated position is {distance:.3g} m from the origin, at most {self.limits.max_distance:g}."
+        if speed > self.limits.max_speed:
+            return f"The estimated speed is {speed:.3g} m/s, at most {self.limits.max_speed:g}."
         return ""
 
     def _accept(self, estimate: StateEstimate) -> EstimateCheck:
@@ -228,7 +239,7 @@ class EstimateMonitor:
 
     def _check_age(self, age: float) -> EstimateCheck:
         """The outcome of a sample that is older than the one before. age: by how much, s; 0 of one sent twice."""
-        if age < self._limits.overtaken:
+        if age < self.limits.overtaken:
             return EstimateCheck(None)
         return EstimateCheck(None, "estimate_time_backwards", f"The estimate's time went back by {age:.3f} s.")
 
@@ -245,7 +256,7 @@ class EstimateMonitor:
         if self._jumps and self._jump(self._jumps[-1], estimate) is not None:
             self._jumps.clear()
         self._jumps.append(estimate)
-        if len(self._jumps) < self._limits.moved_samples:
+        if len(self._jumps) < self.limits.moved_samples:
             return EstimateCheck(None, "estimate_jump", f"The estimate jumped: {jump}.")
         self._accept(estimate)
         text = f"The estimate has moved for good without a reset: {jump}."
@@ -253,22 +264,27 @@ class EstimateMonitor:
 
     def _jump(self, before: StateEstimate, after: StateEstimate) -> str | None:
         """Quantity that moved further from one estimate to the next than the limits allow, or None."""
-        limits, elapsed = self._limits, abs(after.time - before.time)
+        limits, elapsed = self.limits, abs(after.time - before.time)
         half = 0.5 * elapsed
         # plain numbers: this runs for every estimate, and NumPy would take longer
         start, end = before.state.tolist(), after.state.tolist()
         (x0, y0, z0), (x1, y1, z1) = start[POSITION], end[POSITION]
         (u0, v0, w0), (u1, v1, w1) = start[VELOCITY], end[VELOCITY]
-        position = hypot(x1 - x0 - half * (u0 + u1), y1 - y0 - half * (v0 + v1), z1 - z0 - half * (w0 + w1))
-        velocity = hypot(u1 - u0, v1 - v0, w1 - w0)
+        position = _length(x1 - x0 - half * (u0 + u1), y1 - y0 - half * (v0 + v1), z1 - z0 - half * (w0 + w1))
+        velocity = _length(u1 - u0, v1 - v0, w1 - w0)
         attitude = 2.0 * acos(min(1.0, abs(_dot(start[ATTITUDE], end[ATTITUDE]))))
-        if position > limits.position_noise + 0.25 * limits.max_acceleration * elapsed**2:
+        if position > limits.position_noise + 0.25 * limits.max_acceleration * (elapsed * elapsed):
             return f"position by {position:.2f} m in {elapsed * 1e3:.0f} ms"
         if velocity > limits.velocity_noise + limits.max_acceleration * elapsed:
             return f"velocity by {velocity:.2f} m/s in {elapsed * 1e3:.0f} ms"
         if attitude > limits.attitude_noise + limits.max_rate * elapsed:
             return f"attitude by {degrees(attitude):.0f} degrees in {elapsed * 1e3:.0f} ms"
         return None
+
+
+def _length(x: float, y: float, z: float) -> float:
+    """The length of a vector, as `alula_tick` computes it."""
+    return sqrt(x * x + y * y + z * z)
 
 
 def _dot(a: list[float], b: list[float]) -> float:

@@ -18,6 +18,7 @@ from dynamics.errors import AlulaError, VehicleError
 from dynamics.signing_key import SigningKey
 from runtime import realtime
 from runtime.link.connection import Endpoint
+from runtime.link.datagram import AnsweredEstimate, ReadingThread
 from runtime.link.dialect import Message, mavlink
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.framing import Frame, FrameParser
@@ -28,13 +29,14 @@ from runtime.link.signing import ACCEPTED, MESSAGES_LINK, REFUSALS, SETPOINTS_LI
 from runtime.link.silence import explain_silence
 from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
-from runtime.link.transport import Received, Transport, TransportLostError, open_transport
+from runtime.link.transport import Received, Transport, TransportLostError, UdpTransport, open_transport
 from runtime.link.vehicle_link import ATTEMPTS
 from runtime.link.vehicle_source import Address, VehicleSource
 
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
-Arrival = tuple[Frame, float, Address | None]  # a frame, when it came, s, monotonic, and where from
+# a frame, when it came, s, monotonic, where from, and the estimate of its datagram where that was answered already
+Arrival = tuple[Frame, float, Address | None, AnsweredEstimate | None]
 
 _YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
@@ -116,13 +118,15 @@ class Link:
         except AlulaError:
             self.signing.close()
             raise
-        self._sequence = itertools.count()
+        self._sequence: Iterator[int] | ReadingThread = itertools.count()
         # two packers, so that the control thread shares no lock with anybody
         self._packer, self._setpoint_packer = mavlink.MAVLink(None), mavlink.MAVLink(None)
         self.signing.equip(self._packer, MESSAGES_LINK)
         self.signing.equip(self._setpoint_packer, SETPOINTS_LINK)
         self._send_lock = threading.Lock()
         self._estimate: StateEstimate | None = None
+        self._answered: StateEstimate | None = None
+        self._handled: Callable[[], None] = _nothing
         self._waiting: list[threading.Lock] = []
         self._vehicle_found = threading.Event()
         self._listeners: tuple[Callable[[Message], None], ...] = ()
@@ -176,6 +180,45 @@ class Link:
     def is_connected(self, now: float) -> bool:
         """Whether the vehicle was heard recently. now: s on our monotonic clock."""
         return now - self.peer.last_heard < self.settings.silence
+
+    # --- a thread that answers estimates
+
+    def read_by(self, start: Callable[[int, int], ReadingThread], handled: Callable[[], None]) -> ReadingThread | None:
+        """Let a thread read the socket, which answers estimates before this link handles them. None without a socket
+        that keeps to the vehicle.
+
+        start: makes the thread, of a socket's descriptor and the next sequence number.
+        handled: called by the link's thread once it has handled what came.
+        """
+        transport = self._transport
+        if not isinstance(transport, UdpTransport) or transport.descriptor < 0:
+            return None
+        with self._send_lock:
+            reader = start(transport.descriptor, next(self._sequence))
+            self._sequence, self._handled = reader, handled
+            transport.read_by(reader)
+        return reader
+
+    def take_answer(self, received: float, patience: float) -> StateEstimate | None:
+        """The estimate that arrived then and was answered, once this link has handled it. received, patience: s."""
+        deadline, newest = time.monotonic() + patience, self._estimate
+        while self._answered is None or self._answered.received != received:
+            if time.monotonic() >= deadline:
+                return None
+            newest = self.wait_for_estimate(newest, deadline)
+        return self._answered
+
+    def answered(self, timestamp: int, frame: bytes, departed: float) -> None:
+        """Take over a setpoint that the thread has sent. timestamp: of its signature, -1 without one. departed: s."""
+        if timestamp >= 0:
+            self._setpoint_packer.signing.timestamp = timestamp + 1
+        if self._callbacks.frame is not None:
+            self._callbacks.frame("out", departed, frame)
+
+    @property
+    def setpoint_timestamp(self) -> int:
+        """The newest timestamp of a signed setpoint."""
+        return int(self._setpoint_packer.signing.timestamp) - 1
 
     # --- estimates
 
@@ -331,11 +374,13 @@ class Link:
                 self._publish_event(time.monotonic(), "link_lost", "error", str(error))
                 self._reopen()
                 continue
-            for frame, received, source in batch:
+            for arrival in batch:
+                received = arrival[1]
                 try:
-                    self._handle(frame, received, source)
+                    self._handle(*arrival)
                 except Exception as error:  # a defect of ours must not take the link down in flight
                     self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
+            self._handled()
             self._hear_others(time.monotonic())
 
     def _receive(self) -> list[Arrival]:
@@ -378,10 +423,10 @@ class Link:
             if is_of_vehicle and not self.source.admits(received.source, received.time):
                 self._reject_stranger(received.time, received.source)
             elif self._has_accepted_signature(frame, received.time, received.source):
-                usable.append((frame, received.time, received.source))
+                usable.append((frame, received.time, received.source, received.answered))
         return usable
 
-    def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
+    def _handle(self, frame: Frame, received: float, source: Address | None, answered: AnsweredEstimate | None) -> None:
         if (frame.system, frame.component) == self.peer.address:
             if not self.source.admits(source, received):  # the address was fixed by the frame before
                 self._reject_stranger(received, source)
@@ -390,10 +435,12 @@ class Link:
             self._transport.set_peer(source)
         if frame.message_id == _SETUP_SIGNING:
             return
-        reaction = self.peer.handle(frame, received)
+        reaction = self.peer.handle(frame, received, answered)
         if reaction.reset is not None and self._callbacks.reset is not None:
             self._callbacks.reset(reaction.reset)
         if reaction.estimate is not None:
+            if answered is not None:
+                self._answered = reaction.estimate
             self._publish_estimate(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
             if not self._vehicle_found.is_set():
@@ -499,3 +546,7 @@ class Link:
             self._noise.restart()
             self._publish_event(time.monotonic(), "link_restored", "warning", f"{self.endpoint} is open again.")
             return
+
+
+def _nothing() -> None:
+    """Nobody waits for what was handled."""

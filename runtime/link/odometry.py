@@ -32,7 +32,7 @@ def _rows_from_wire() -> list[tuple[int, float, int, float]]:
     return rows
 
 
-_ROWS = _rows_from_wire()
+ROWS = _rows_from_wire()
 # time_usec; x, y, z, q, vx, vy, vz, body rates; covariances skipped; frame_id, child_frame_id, reset_counter
 _ODOMETRY = struct.Struct("<Q13f168x3B")
 
@@ -55,4 +55,4 @@ def read_odometry(payload: bytes) -> Odometry:
 
 def state_from_wire(wire: tuple[float, ...]) -> list[float]:
     """Our state from ODOMETRY's 13 numbers, whose velocity is taken for NED."""
-    return [factor * wire[first] + other * wire[second] for first, factor, second, other in _ROWS]
+    return [factor * wire[first] + other * wire[second] for first, factor, second, other in ROWS]

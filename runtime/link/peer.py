@@ -10,6 +10,7 @@ import msgspec
 from dynamics.autopilot import first_vehicle, is_autopilot
 from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
+from runtime.link.datagram import AnsweredEstimate
 from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link.estimate import EstimateCheck, EstimateLimits, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.framing import Frame
@@ -21,8 +22,8 @@ from runtime.link.texts import TextAssembler
 from runtime.link.unconfirmed_change import UnconfirmedChange
 
 _EVENT_PERIOD = 1.0  # s until an event of the same name is published again
-_MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
-_MAX_STAMP_AHEAD = 0.1  # s; PX4's own simulation steps its clock by up to 18 ms, and an exchange errs by less
+MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
+MAX_STAMP_AHEAD = 0.1  # s; PX4's own simulation steps its clock by up to 18 ms, and an exchange errs by less
 _SETPOINT_IDS = frozenset(MESSAGE_IDS[name] for name in SETPOINTS)
 
 
@@ -96,8 +97,11 @@ class Peer:
         """The vehicle's identity and state, with the time it was last heard."""
         return msgspec.structs.replace(self._status, last_heard=self.last_heard)
 
-    def handle(self, frame: Frame, received: float) -> Reaction:
-        """Handle a frame of any sender. received: its arrival, s on our monotonic clock."""
+    def handle(self, frame: Frame, received: float, answered: AnsweredEstimate | None = None) -> Reaction:
+        """Handle a frame of any sender. received: its arrival, s on our monotonic clock.
+
+        answered: the estimate of its datagram where a setpoint has answered that already: then it is the estimate.
+        """
         reaction = Reaction()
         if not frame.is_known:
             return reaction  # without a definition not even its checksum can be verified
@@ -111,7 +115,7 @@ class Peer:
         self.last_heard = received
         self.rates.handle(frame.message_id, received)
         if frame.message_id == mavlink.MAVLINK_MSG_ID_ODOMETRY:
-            self._handle_odometry(read_odometry(frame.payload), received, reaction)
+            self._handle_odometry(read_odometry(frame.payload), received, reaction, answered)
         else:
             self._handle_message(frame.message, received, reaction)
         return reaction
@@ -147,7 +151,7 @@ class Peer:
         """Our time of a vehicle stamp, s, not after its arrival, and whether it is from the vehicle's clock."""
         if self.clock.is_valid(received):
             time = self.clock.to_ours(remote)
-            if time - _MAX_STAMP_AHEAD < received < time + _MAX_STAMP_AGE:
+            if time - MAX_STAMP_AHEAD < received < time + MAX_STAMP_AGE:
                 return min(time, received), True
         return received, False
 
@@ -156,7 +160,7 @@ class Peer:
         if not self.clock.is_valid(received):
             return False
         lead = self.clock.to_ours(remote) - received
-        if lead <= _MAX_STAMP_AHEAD:
+        if lead <= MAX_STAMP_AHEAD:
             return False
         text = (
             f"{message} is stamped {lead:.3f} s ahead of the vehicle's clock by TIMESYNC, at most 0 is possible: its "
@@ -264,8 +268,16 @@ class Peer:
                 reaction.events += self.limit_event(received, "clock_ran_backwards", "error", text)
                 self.estimates.reset()
 
-    def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
+    def _handle_odometry(
+        self, odometry: Odometry, received: float, reaction: Reaction, answered: AnsweredEstimate | None
+    ) -> None:
         self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
+        if answered is not None:
+            numbers = answered.time, received, answered.state, answered.reset_counter
+            self._take(
+                self.estimates.adopt(StateEstimate(*numbers, True, "ODOMETRY"), answered.stamp), received, reaction
+            )
+            return
         if self._stamp_is_ahead("ODOMETRY", odometry.time, received, reaction):
             return
         time, synchronised = self._synchronised(odometry.time, received)

@@ -88,6 +88,15 @@ class Signing:
         if self.clock is not None:
             packer.signing.timestamp = max(packer.signing.timestamp, self.clock.now)
 
+    def heard_from(self, vehicle: tuple[int, int]) -> dict[int, int]:
+        """The newest timestamp of each of a vehicle's streams, by link id."""
+        return {stream[2]: stamp for stream, stamp in tuple(self._streams.items()) if stream[:2] == vehicle}
+
+    @property
+    def secret(self) -> bytes:
+        """The key, for what signs in place of a packer; empty without one."""
+        return b"" if self._key is None else self._key.secret
+
     def judge(self, frame: Frame, vehicle: tuple[int, int] | None) -> Verdict:
         """Whether a frame may be used, counted. vehicle: system and component that is followed."""
         verdict = self._verdict(frame, vehicle)

@@ -85,6 +85,11 @@ class SigningClock:
         return self._base + int((time.monotonic() - self._origin) * TICKS)
 
     @property
+    def origin(self) -> tuple[int, float]:
+        """A timestamp and when it was, s, monotonic: what `now` counts on from."""
+        return self._base, self._origin
+
+    @property
     def lead(self) -> float:
         """Seconds that it is ahead of the system's clock."""
         return (self.now - signing_ticks(time.time())) / TICKS

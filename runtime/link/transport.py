@@ -16,6 +16,7 @@ import serial
 
 from dynamics.errors import RequestError, VehicleError
 from runtime.link.connection import Endpoint
+from runtime.link.datagram import AnsweredEstimate, Datagram, ReadingThread
 from runtime.link.vehicle_source import Address
 
 PATIENCE = 0.05  # s that one receive waits
@@ -31,11 +32,13 @@ class Received(msgspec.Struct, frozen=True, gc=False):
 
     time: of their arrival, s, monotonic; on UDP the kernel's, so that waiting for the processor counts as their age.
     source: the sender's address, None on a stream.
+    answered: its estimate where a setpoint has answered that already.
     """
 
     data: bytes
     time: float
     source: Address | None = None
+    answered: AnsweredEstimate | None = None
 
 
 class TransportLostError(VehicleError):
@@ -98,6 +101,7 @@ class UdpTransport:
                 raise _refused(endpoint, error) from None
         else:
             self._peer = self._address
+        self._reader: ReadingThread | None = None
         self._view = memoryview(bytearray(_MAX_READ))
         self._buffers = [self._view]
 
@@ -116,7 +120,18 @@ class UdpTransport:
 
     def receive(self, *, wait: bool = True) -> Received | None:
         """The next datagram, or None after PATIENCE or when only an ICMP error came."""
+        if self._reader is not None:
+            return _received(self._reader.receive(PATIENCE if wait else 0.0))
         return self._receive(self._socket, 0 if wait else socket.MSG_DONTWAIT)
+
+    @property
+    def descriptor(self) -> int:
+        """Of the socket; -1 before it keeps to its peer, or where a thread reads it already."""
+        return -1 if self._others is None or self._reader is not None else self._socket.fileno()
+
+    def read_by(self, reader: ReadingThread) -> None:
+        """Let a thread read the socket from now on; it ends with the socket."""
+        self._reader = reader
 
     def receive_other(self) -> Received | None:
         """The next datagram from elsewhere than the peer, once the socket keeps to it, or None."""
@@ -172,6 +187,8 @@ class UdpTransport:
 
     def close(self) -> None:
         """Close the sockets."""
+        if self._reader is not None:
+            self._reader.close()
         self._socket.close()
         if self._others is not None:
             self._others.close()
@@ -309,6 +326,15 @@ class SerialTransport:
         self._descriptor = -1  # the number may be that of another file soon, and the control thread may still send
         with contextlib.suppress(OSError, serial.SerialException):
             self._port.close()
+
+
+def _received(datagram: Datagram | None) -> Received | None:
+    """A datagram of the thread in C, None when only an ICMP error came. Raises TransportLostError."""
+    if datagram is None or datagram.error in _SURVIVED:
+        return None
+    if datagram.error:
+        raise TransportLostError(f"The UDP socket failed: {os.strerror(datagram.error)}.")
+    return Received(datagram.data, datagram.received, datagram.address, datagram.answered)
 
 
 def _readable(descriptor: int) -> select.poll:

@@ -99,6 +99,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     engage: whether engaging is requested at this tick.
     leave: why landing is requested, empty when it is not.
     stop: whether the stream is to end at once; in recordings of older versions it did without a last setpoint.
+    answered: whether the setpoint had left, by `alula_tick`, before this was observed: it acts from the next tick on.
     """
 
     tick: int
@@ -124,6 +125,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     rotors_measured: bool = False
     battery_voltage: Annotated[float, Meta(description="V, NaN when there is no new one")] = nan
     stop: bool = False
+    answered: bool = False
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 
 from dynamics.errors import VehicleError
+from dynamics.signing_key import SigningKey
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime import daemon as daemon_module
@@ -32,10 +33,13 @@ from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
+from runtime.flight.phases import PHASES, Handler, Phase
 from runtime.flight_request import FlightReport, FlightRequest
 from runtime.link.connection import parse_endpoint
+from runtime.link.link import Link
 from runtime.record.recorder import Recorder
-from runtime.record.recording import read_recording
+from runtime.record.recording import FlightRecording, read_recording
+from runtime.record.records import ObservationRecord, TickRecord
 from runtime.replay import replay
 from runtime.setpoint_stream import SetpointStream
 from simulation.mock_process import free_port, mock_process
@@ -129,6 +133,7 @@ def test_it_flies_and_its_recording_replays_bit_for_bit(
     assert not {"clock_uncertain", "rates_low"} & set(report.events), announcements
     recording = read_recording(tmp_path / "flight.mcap")
     assert recording.complete
+    assert in_flight(recording) > 0.7
     assert {"/imu", "/battery", "/rotors", "/horizon", "/phase", "/parameter", "/pose"} <= set(recording.messages)
     assert replay(recording, vehicle, reference_of(vehicle)).exact
     tlog = (tmp_path / "flight.tlog").read_bytes()
@@ -139,6 +144,36 @@ def test_it_flies_and_its_recording_replays_bit_for_bit(
     assert any("ENGAGED" in message for message in others)
     assert others.count("STOPPING=1") == 1
     assert len(service_manager) - len(others) > report.timing.ticks / 20
+
+
+def in_flight(recording: FlightRecording) -> float:
+    """Share of the ticks by an estimate, in phases that the controller flies, whose setpoint left by the tick in C."""
+    answered = {observation.tick: observation.answered for observation in recording.records(ObservationRecord)}
+    flown = [
+        answered[tick.tick]
+        for tick in recording.records(TickRecord)
+        if tick.trigger == "estimate" and PHASES[Phase(tick.phase)].handler is Handler.FLY
+    ]
+    return sum(flown) / len(flown)
+
+
+@pytest.mark.long("a flight against the clock")
+def test_a_signed_flight_is_answered_in_c_as_well(
+    vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    key, announcements = SigningKey(bytes(range(1, 33))), Announcements()
+    with mock_process(vehicle=VEHICLE_FILE) as mock:
+        with Link(parse_endpoint(mock.url)) as link:
+            link.wait_for_vehicle()
+            link.send_signing_setup(key)
+            time.sleep(0.5)
+        request = request_for(mock.url, record=tmp_path, name="flight", signing_key=key)
+        report = fly(vehicle, announcements, request)
+    assert report.landed, announcements
+    recording = read_recording(tmp_path / "flight.mcap")
+    assert in_flight(recording) > 0.7
+    assert replay(recording, vehicle, reference_of(vehicle)).exact
 
 
 class SmallDisk:

@@ -21,7 +21,7 @@ from runtime.record.recorder import Recorder
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
 from runtime.replay import replay
-from tests.support.rate_controlled_vehicle import Flight
+from tests.support.rate_controlled_vehicle import Flight, Story
 
 
 def reference_of(vehicle: Vehicle) -> Transfer:
@@ -37,7 +37,10 @@ def recorded(
     arpl_250g: Vehicle, controller: Controller, folder: Path, *, max_bytes: int | None = None
 ) -> FlightRecording:
     flight = Flight(arpl_250g, controller, reference_of(arpl_250g))
-    story = flight.run(11.0)
+    return record(flight.run(11.0), controller, folder, max_bytes=max_bytes)
+
+
+def record(story: Story, controller: Controller, folder: Path, *, max_bytes: int | None = None) -> FlightRecording:
     metadata = {
         "plan": msgspec.json.encode(Plan()).decode(),
         "settings": msgspec.json.encode(FlyerSettings()).decode(),

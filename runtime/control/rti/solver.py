@@ -6,7 +6,7 @@ import ctypes
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,16 @@ class FilterOptions(ctypes.Structure):
         ("count", ctypes.c_int),
         *((name, ctypes.c_int * MAX_FOLLOWED) for name in ("index", "group")),
     )
+
+
+class SolverAddresses(NamedTuple):
+    """A solver's handle, two of its functions, and the memory of its predicted states and inputs."""
+
+    handle: int
+    propagate: int
+    feedback: int
+    states: int
+    inputs: int
 
 
 class RtiSolver:
@@ -163,6 +173,16 @@ class RtiSolver:
             address(self.state_reference.ctypes.data),
             address(self.input_reference.ctypes.data),
         )
+
+    @property
+    def addresses(self) -> SolverAddresses:
+        """Of what a caller in C needs; valid as long as this is."""
+
+        def function(name: str) -> int:
+            return ctypes.cast(getattr(self._code, name), ctypes.c_void_p).value or 0
+
+        memory = self.states.ctypes.data, self.inputs.ctypes.data
+        return SolverAddresses(self._handle.value or 0, function("rti_propagate"), function("rti_feedback"), *memory)
 
     def __del__(self) -> None:
         if handle := getattr(self, "_handle", None):
