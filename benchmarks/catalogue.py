@@ -400,6 +400,14 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--cases", "6", *NOT_KEPT),
         ),
     },
+    "last_setpoint": {
+        "deaths": Measurement(
+            "benchmarks.last_setpoint:deaths",
+            ("last_setpoint",),
+            ("runtime/control/rti/last_setpoint.h", "runtime/flight/last_setpoint.py", "sitl_mock/vehicle"),
+            ("--flights", "1", "--each", "2", *NOT_KEPT),
+        ),
+    },
     "mutation": {
         "tests_kill": Measurement(
             "benchmarks.mutation.tests_kill:tests_kill",

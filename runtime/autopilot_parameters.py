@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dynamics.autopilot_settings import CUTOFFS, GAINS, AutopilotSettings
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
+from runtime.flight.last_setpoint import LOSS_TIME, USUAL_LOSS_TIME
 from runtime.flight.thrust import THRUST_CURVE
 from runtime.link.parameters import read_parameter, read_parameters
 from runtime.link.vehicle_link import VehicleLink
@@ -30,6 +31,21 @@ def read_thrust_curve(
     factor = float(curve.value or 0.0)
     _record(recorder, {THRUST_CURVE: factor}, clock())
     return factor
+
+
+def read_loss_time(
+    link: VehicleLink,
+    recorder: Recorder | None,
+    announce: Callable[[str], None],
+    clock: Callable[[], float] = time.monotonic,
+) -> float:
+    """The autopilot's COM_OF_LOSS_T, s; the usual one where it cannot be read, announced. clock: of the flight, s."""
+    loss_time = read_parameter(link, LOSS_TIME)
+    if loss_time.value is None:
+        announce(f"{LOSS_TIME} could not be read ({loss_time.error}); {USUAL_LOSS_TIME:g} s are assumed")
+    seconds = USUAL_LOSS_TIME if loss_time.value is None else float(loss_time.value)
+    _record(recorder, {LOSS_TIME: seconds}, clock())
+    return seconds
 
 
 def read_rate_gains(

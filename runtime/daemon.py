@@ -15,7 +15,7 @@ from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.announcements import Announce, Announcements, NotificationFeed
-from runtime.autopilot_parameters import read_thrust_curve
+from runtime.autopilot_parameters import read_loss_time, read_thrust_curve
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Requests
@@ -149,9 +149,15 @@ class Daemon:
         refusals.publish()
         request_rates(link, required_rates(request.rate))
         thrust_curve = read_thrust_curve(link, self._recorder, announce)
+        loss_time = read_loss_time(link, self._recorder, announce)
         use_rate_gains(link, controllers, self._controller_options(), self._vehicle, self._recorder, announce)
         flyer = build_flyer(
-            controllers, self._reference, request.plan, request.flyer_settings, thrust_curve=thrust_curve
+            controllers,
+            self._reference,
+            request.plan,
+            request.flyer_settings,
+            thrust_curve=thrust_curve,
+            loss_time=loss_time,
         )
         if request.adaptation.mode != "off":
             self._read_rotors(link, flyer)

@@ -47,7 +47,7 @@ from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, pa
 from runtime.control.followed_parameters import with_followed
 from runtime.control.kernel_model import KernelModel, trim_of
 from runtime.control.rti.prebuilt import flown_model
-from runtime.flight.decision import FlyerSettings
+from runtime.flight.decision import FlyerSettings, LastSetpointMode
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.health import HealthLimits
@@ -83,6 +83,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     network: whether a learned model's last layer does; None for shadow, where its bundle can.
     record: folder of the recording.
     record_limit: bytes of the recording, of which the oldest part goes; None for all of the flight.
+    last_setpoint: whether setpoints that must not be the last ones are replaced.
     arm: whether to request arming, or leave it to the pilot.
     resume: whether to take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, None for none.
@@ -108,6 +109,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     network: Mode | None = None
     record: Path | None = None
     record_limit: int | None = None
+    last_setpoint: LastSetpointMode = "auto"
     arm: bool = True
     resume: bool = False
     priority: int | None = None
@@ -168,6 +170,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
             engagement=EngagementSettings(arm=setup.arm, resume=setup.resume, pilot_patience=setup.timeout),
             bounds=FallbackBounds(shifted_ticks=max(round(SHIFTED_TIME * rate), 1)),
             health=HealthLimits.for_vehicle(vehicle),
+            last_setpoint=setup.last_setpoint,
         ),
         record=setup.record,
         record_limit=_record_limit(setup),

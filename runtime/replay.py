@@ -14,6 +14,7 @@ from runtime.control.controller import ControllerOptions
 from runtime.flight.composition import build_controllers, build_flyer, use_lookaheads
 from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.flyer import Flyer
+from runtime.flight.last_setpoint import LOSS_TIME, USUAL_LOSS_TIME
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import THRUST_CURVE
@@ -110,7 +111,14 @@ def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bund
     controllers = build_controllers(vehicle, bundle, options)
     if (gains := recorded_rate_gains(recording.records(ParameterRecord))) is not None:
         use_lookaheads(controllers, options.for_autopilot(vehicle, gains))
-    return build_flyer(controllers, reference, plan, settings, thrust_curve=parameters.get(THRUST_CURVE, 0.0))
+    return build_flyer(
+        controllers,
+        reference,
+        plan,
+        settings,
+        thrust_curve=parameters.get(THRUST_CURVE, 0.0),
+        loss_time=parameters.get(LOSS_TIME, USUAL_LOSS_TIME),
+    )
 
 
 def _estimate(record: EstimateRecord) -> StateEstimate:

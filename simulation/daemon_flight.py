@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from math import isnan
 
 from dynamics.errors import RequestError, VehicleError
-from runtime.autopilot_parameters import read_thrust_curve
+from runtime.autopilot_parameters import read_loss_time, read_thrust_curve
 from runtime.control_thread import ControlThread, Requests
 from runtime.flight.composition import build_controllers, build_flyer
 from runtime.flight.engagement import AutopilotRequest, State, Transition
@@ -159,6 +159,7 @@ class SimulatedFlight:
         for name in UNREAD:
             send_command(link, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, MESSAGE_IDS[name], -1.0)
         curve = read_thrust_curve(link, self._recorder, announce, link.clock)
+        loss_time = read_loss_time(link, self._recorder, announce, link.clock)
         use_rate_gains(link, controllers, options, flight.vehicle, self._recorder, announce, link.clock)
         link.advance(SETTLING_TIME)
         if link.estimate is None:
@@ -172,7 +173,14 @@ class SimulatedFlight:
         )
         if refusal:
             raise RequestError(refusal)
-        return build_flyer(controllers, flight.reference, request.plan, request.flyer_settings, thrust_curve=curve)
+        return build_flyer(
+            controllers,
+            flight.reference,
+            request.plan,
+            request.flyer_settings,
+            thrust_curve=curve,
+            loss_time=loss_time,
+        )
 
     def _fly_ticks(self) -> None:
         """Ticks as the control thread's, each by an estimate or by the clock, until the flight is over."""

@@ -28,6 +28,7 @@ from runtime.flight.engagement import AutopilotRequest
 from runtime.flight.events import Event
 from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits, estimator_health
+from runtime.flight.last_setpoint import LOSS_TIME
 from runtime.flight.mission import Plan
 from runtime.flight.phases import Phase
 from runtime.flight.thrust import rotor_speed
@@ -184,7 +185,9 @@ def fly_whole(
         choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, gains=gains)
         controllers = Controllers(Controller.build(vehicle, choice))
     curve = autopilot.parameters["THR_MDL_FAC"]
-    flyer = build_flyer(controllers, reference, plan or Plan(origin="takeoff"), settings, thrust_curve=curve)
+    loss_time = autopilot.parameters[LOSS_TIME]
+    plan = plan or Plan(origin="takeoff")
+    flyer = build_flyer(controllers, reference, plan, settings, thrust_curve=curve, loss_time=loss_time)
     return Lockstep(autopilot, flyer, leave_after, rotors).fly(limit, watch)
 
 

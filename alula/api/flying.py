@@ -95,6 +95,7 @@ def fly(
     follow: Sequence[str] | None = None,
     record: str | Path | None = None,
     record_limit: int | None = None,
+    last_setpoint: Literal["auto", "replace", "off"] = "auto",
     arm: bool = True,
     resume: bool = False,
     priority: int | None = None,
@@ -125,6 +126,8 @@ def fly(
     network: whether the last layer of a learned model follows, too; by default "shadow", where its bundle can.
     record: folder for the recording (MCAP and tlog).
     record_limit: bytes of the recording, written in parts of which the oldest goes; by default all of the flight stays.
+    last_setpoint: "replace" setpoints after which the vehicle would leave its box or hit the ground if this process
+        died; "auto": unless the flight is planned with such setpoints.
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
     priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
@@ -170,6 +173,7 @@ def fly(
         follow=None if follow is None else tuple(follow),
         record=None if record is None else Path(record),
         record_limit=record_limit,
+        last_setpoint=last_setpoint,
         arm=arm,
         resume=resume,
         priority=priority,

@@ -88,6 +88,13 @@ def fly(
             metavar="MB",
         ),
     ] = None,
+    last_setpoint: Annotated[
+        Literal["auto", "replace", "off"],
+        typer.Option(
+            help="Replace setpoints after which the vehicle would leave its box or hit the ground if this process "
+            "died; auto: unless the flight is planned with such setpoints."
+        ),
+    ] = "auto",
     arm: Annotated[
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
     ] = True,
@@ -142,6 +149,7 @@ def fly(
         network=network,
         record=record,
         record_limit=None if record_limit is None else round(1e6 * record_limit),
+        last_setpoint=last_setpoint,
         arm=arm,
         resume=resume,
         processor=processor,

@@ -12,6 +12,7 @@ from runtime.control.bundle import Bundle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.flyer import Flyer
+from runtime.flight.last_setpoint import USUAL_LOSS_TIME
 from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap
@@ -42,9 +43,18 @@ def use_lookaheads(controllers: Controllers, options: ControllerOptions) -> None
 
 
 def build_flyer(
-    controllers: Controllers, reference: Motion, plan: Plan, settings: FlyerSettings, *, thrust_curve: float
+    controllers: Controllers,
+    reference: Motion,
+    plan: Plan,
+    settings: FlyerSettings,
+    *,
+    thrust_curve: float,
+    loss_time: float = USUAL_LOSS_TIME,
 ) -> Flyer:
-    """Build the flight logic for the vehicle as it hovers. thrust_curve: the autopilot's THR_MDL_FAC."""
+    """Build the flight logic for the vehicle as it hovers.
+
+    thrust_curve: the autopilot's THR_MDL_FAC. loss_time: its COM_OF_LOSS_T, s.
+    """
     trim = controllers.flying.trim
     return Flyer(
         trim,
@@ -53,6 +63,7 @@ def build_flyer(
         ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, thrust_curve),
         settings,
         nominal=controllers.nominal,
+        loss_time=loss_time,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 
@@ -14,6 +15,8 @@ from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.health import HealthLimits
 from runtime.flight.thrust import EffectivenessSettings
 
+LastSetpointMode = Literal["auto", "replace", "off"]
+
 
 class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How a flight is flown, besides vehicle, controller and mission.
@@ -23,6 +26,8 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bounds: of the fallbacks.
     health: limits of the health checks.
     thrust: of the effectiveness filter.
+    last_setpoint: which setpoints are replaced that must not be the last ones, see `runtime.flight.last_setpoint`.
+        Recordings without the key were flown without.
     """
 
     period: float = CONTROL_PERIOD
@@ -30,6 +35,7 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bounds: FallbackBounds = FallbackBounds()
     health: HealthLimits = HealthLimits()
     thrust: EffectivenessSettings = EffectivenessSettings()
+    last_setpoint: LastSetpointMode = "off"
 
 
 @dataclass

@@ -86,6 +86,9 @@ class Event(Enum):
     RECORDER_OVERRUN = "recorder_overrun"
     DISK_FULL = "disk_full"
     REFERENCE_INFEASIBLE = "reference_infeasible"
+    LAST_SETPOINT_REPLACED = "last_setpoint_replaced"
+    LAST_SETPOINT_UNSAFE = "last_setpoint_unsafe"
+    LAST_SETPOINT_UNCHECKED = "last_setpoint_unchecked"
     REALTIME_UNAVAILABLE = "realtime_unavailable"
 
 
@@ -227,6 +230,11 @@ POLICIES: Mapping[Event, Policy] = {
     Event.DISK_FULL: Policy("recording ended, the flight continues", Severity.ERROR, clear_after=NEVER),
     Event.REFERENCE_INFEASIBLE: Policy(
         "the vehicle cannot fly the reference", Severity.ERROR, clear_after=NEVER, refuses=True
+    ),
+    Event.LAST_SETPOINT_REPLACED: Policy("a setpoint that must not be the last one was replaced", Severity.NOTICE),
+    Event.LAST_SETPOINT_UNSAFE: Policy("no setpoint may be the last one", Severity.WARNING),
+    Event.LAST_SETPOINT_UNCHECKED: Policy(
+        "the flight is planned with setpoints that must not be the last ones", Severity.NOTICE, clear_after=NEVER
     ),
     Event.REALTIME_UNAVAILABLE: Policy("flying without real-time scheduling", Severity.NOTICE, clear_after=NEVER),
 }

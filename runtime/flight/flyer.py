@@ -22,6 +22,7 @@ from runtime.flight.failsafe import SUSTAINED, FallbackChain, LevelHold, level_r
 from runtime.flight.flight_checks import FlightChecks
 from runtime.flight.ground_probe import Ground
 from runtime.flight.health import HealthLimits
+from runtime.flight.last_setpoint import USUAL_LOSS_TIME, LastSetpointGuard
 from runtime.flight.measurements import Measurements
 from runtime.flight.mission import Mission
 from runtime.flight.parting import Parting
@@ -49,6 +50,7 @@ class Flyer:
     """The flight logic: engagement, mission phases, controller, fallbacks, thrust.
 
     motors: for each rotor the index of the autopilot's motor, None where it is not known.
+    last_setpoint: the check of setpoints that may be the last ones.
     """
 
     def __init__(
@@ -60,8 +62,12 @@ class Flyer:
         settings: FlyerSettings,
         *,
         nominal: Controller | None = None,
+        loss_time: float = USUAL_LOSS_TIME,
     ) -> None:
-        """nominal: controller of the vehicle file's model, the fallback of a learned one; None without one."""
+        """nominal: controller of the vehicle file's model, the fallback of a learned one; None without one.
+
+        loss_time: the autopilot's COM_OF_LOSS_T, s.
+        """
         self.motors: tuple[int, ...] | None = None
         self.engagement = Engagement(settings.engagement)
         self.events = EventMonitor()
@@ -78,6 +84,7 @@ class Flyer:
         self._parting = Parting(self._hold, settings.period)
         response = settings.thrust.delay + settings.thrust.response_time
         self._takeoff = TakeoffControl(vehicle, thrust_map.thrust_max, response)
+        self.last_setpoint = LastSetpointGuard(controller, nominal, mission, settings.last_setpoint, loss_time)
         self._settling = Settling(vehicle.weight, min(vehicle.limits.rate[:2]))
         self._ending = Ending()
         self._last_disarm_request = -inf
@@ -285,6 +292,7 @@ class Flyer:
         else:
             self.mission.take_over(state, time)
             self.controllers.start(state, time)
+        self._checks.pending |= self.last_setpoint.begin()
 
     def _land(self, reason: str, state: Floats, time: float) -> None:
         """Cut the flight short after an event, or a take-off before it leaves the ground."""
@@ -494,6 +502,10 @@ class Flyer:
 
     def _finish(self, observation: ObservationRecord, decision: Decision, rate_body: Floats) -> None:
         held = self._held_thrust(observation, flown=self.engagement.flying or self._parting.active)
+        if self.engagement.flying and not self.events.sinks:
+            estimate, time = self._measured.estimate, observation.time
+            rate_body = self.last_setpoint.replace(decision, rate_body, estimate, time, self.output)
+            self._checks.pending |= self.last_setpoint.findings
         self.output.finish(decision, rate_body, held, observation.time)
 
     def _window(self, state: Floats, time: float) -> tuple[Floats, tuple[Floats, Floats]]:

@@ -137,6 +137,20 @@ class Mission:
         """Estimated height over the place of take-off, m; None where it is not known. state: (13,)."""
         return None if self._ground is None else float(self._takeoff_frame_pose(state)[2]) - self._ground
 
+    @property
+    def ground(self) -> float:
+        """Height of the place of take-off in the estimator's frame, m; -infinite where it is not known."""
+        return -math.inf if self._ground is None else self._ground + float(self._offset[2])
+
+    def planned(self) -> tuple[tuple[Motion, float], ...]:
+        """Motions of the flight that is to come, each with the time for which it will be tracked, s.
+
+        In the frame of take-off: the transfer to the reference's start, and the reference.
+        """
+        approach = self._transfer(self._home, _pose(self._reference.states(np.zeros(1))[0]))
+        duration = min(self._plan.duration or math.inf, self._reference.duration)
+        return (approach, approach.duration), (self._reference, duration)
+
     def settle(self, state: Floats, time: float) -> None:
         """Take thrust away level, after a contact. state: (13,)."""
         self._move(Trigger.CONTACT, state, time)

@@ -34,16 +34,28 @@ def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> F
 
 
 def recorded(
-    arpl_250g: Vehicle, controller: Controller, folder: Path, *, max_bytes: int | None = None
+    arpl_250g: Vehicle,
+    controller: Controller,
+    folder: Path,
+    *,
+    max_bytes: int | None = None,
+    settings: FlyerSettings | None = None,
 ) -> FlightRecording:
-    flight = Flight(arpl_250g, controller, reference_of(arpl_250g))
-    return record(flight.run(11.0), controller, folder, max_bytes=max_bytes)
+    flight = Flight(arpl_250g, controller, reference_of(arpl_250g), settings=settings)
+    return record(flight.run(11.0), controller, folder, max_bytes=max_bytes, settings=settings)
 
 
-def record(story: Story, controller: Controller, folder: Path, *, max_bytes: int | None = None) -> FlightRecording:
+def record(
+    story: Story,
+    controller: Controller,
+    folder: Path,
+    *,
+    max_bytes: int | None = None,
+    settings: FlyerSettings | None = None,
+) -> FlightRecording:
     metadata = {
         "plan": msgspec.json.encode(Plan()).decode(),
-        "settings": msgspec.json.encode(FlyerSettings()).decode(),
+        "settings": msgspec.json.encode(settings or FlyerSettings()).decode(),
         "controller": msgspec.json.encode(controller.options).decode(),
     }
     recorder = Recorder(folder, "flight", metadata=metadata, capacity=100_000, simulated_epoch=0.0, max_bytes=max_bytes)
@@ -79,6 +91,16 @@ def test_a_model_that_followed_follows_again(arpl_250g: Vehicle, tmp_path: Path)
     assert controller.adaptation is not None
     assert np.abs(controller.adaptation.followed.disturbance).max() > 0.0
     assert replay(recording, arpl_250g, reference_of(arpl_250g)).exact
+
+
+def test_setpoints_that_were_replaced_are_replaced_again(arpl_250g: Vehicle, tmp_path: Path) -> None:
+    """A check of setpoints that may be the last ones depends on what the recording has, and on nothing else."""
+    limits = msgspec.structs.replace(arpl_250g.limits, box=((-2.5, -2.5, -1.0), (2.5, 2.5, 3.0)))
+    vehicle = msgspec.structs.replace(arpl_250g, limits=limits)
+    flown = recorded(vehicle, Controller.build(vehicle), tmp_path, settings=FlyerSettings(last_setpoint="replace"))
+    assert replay(flown, vehicle, reference_of(vehicle)).exact
+    unchecked = {**flown.metadata, "settings": msgspec.json.encode(FlyerSettings()).decode()}
+    assert not replay(replace(flown, metadata=unchecked), vehicle, reference_of(vehicle)).exact
 
 
 def test_a_recording_of_another_version_may_word_its_reasons_differently(

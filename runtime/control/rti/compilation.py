@@ -17,7 +17,13 @@ from runtime.control.rti.state_header import STATE_HEADER, state_header
 
 ENTRY = "rti.c"
 OWN = (ENTRY, "parameter_fit.h", "thrust_history.h")
-SHARED = ("condensed.h", "box_qp.h", "box_factor.h", "flight_filter.h")  # with the kernel of a learned model
+SHARED = (
+    "condensed.h",
+    "box_qp.h",
+    "box_factor.h",
+    "flight_filter.h",
+    "last_setpoint.h",
+)  # with the kernel of a learned model
 
 
 def build_solver(model: Model, problem: Problem) -> Path:

@@ -26,6 +26,7 @@
 
 #include "box_qp.h"
 #include "flight_filter.h"
+#include "last_setpoint.h"
 #include "state.h"
 
 #define FAR 1e6 /* no bound: the interior-point method takes finite numbers only */
@@ -143,7 +144,7 @@ int rti_filter_compare(condensed *r, const double *before, const double *change,
 /* Dimensions for the loader to compare with its own. */
 void rti_dimensions(int *dimensions) {
     const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options),
-                         (int)sizeof(filter_options), SOFT};
+                         (int)sizeof(filter_options), SOFT, (int)sizeof(last_setpoint_model)};
     memcpy(dimensions, built, sizeof built);
 }
 

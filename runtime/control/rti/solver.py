@@ -16,6 +16,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
 from runtime.control.kernel_model import FlownModel, trim_of
+from runtime.control.rti.last_setpoint import LastSetpointCheck, LastSetpointModel
 from runtime.control.rti.loading import load_kernel
 from runtime.control.rti.prebuilt import solver_library
 from runtime.control.rti.problem import Problem, fill_options
@@ -32,6 +33,7 @@ KERNEL_DIMENSIONS = (
     "options_bytes",
     "filter_bytes",
     "soft_rows",
+    "last_setpoint_bytes",
 )
 SOLVED, CUT = 0, 1  # status; a cut quadratic program has an answer whose inputs keep their bounds
 AXES = 6  # linear, world axes, then angular, body axes
@@ -377,6 +379,10 @@ class RtiSolver:
         self._state[:] = state
         return int(self._code.rti_feedback(self._handle, self._state_at))
 
+    def last_setpoint_check(self, model: LastSetpointModel) -> LastSetpointCheck:
+        """The check of setpoints that may be the last ones, which the kernel has. model: of vehicle and autopilot."""
+        return LastSetpointCheck(self._code, model)
+
     def _declare(self) -> None:
         code, pointer = self._code, ctypes.c_void_p
         code.rti_create.restype = pointer
@@ -425,6 +431,7 @@ class RtiSolver:
             "options_bytes": options_bytes,
             "filter_bytes": ctypes.sizeof(FilterOptions),
             "soft_rows": self.problem.nodes * (self.model.state_count + 1),
+            "last_setpoint_bytes": ctypes.sizeof(LastSetpointModel),
         }
         if wrong := [
             f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size

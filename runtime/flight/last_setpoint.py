@@ -1,0 +1,163 @@
+"""Setpoints that may be the last ones: which are checked before they leave, and what is said of it. Pure.
+
+A process may die after any setpoint. PX4 then holds that setpoint for COM_OF_LOSS_T and lets its failsafe act;
+docs/last_setpoint.md says what the check predicts, what it guarantees, and what it does not.
+"""
+
+from __future__ import annotations
+
+from math import inf, radians
+
+import numpy as np
+
+from dynamics.arrays import Floats
+from dynamics.own_effects import catalogue_of
+from dynamics.rate_loop import ACTUATION_DELAY, modelled_motor_lag, motor_time_constant
+from dynamics.state import RATE, VELOCITY
+from dynamics.trim import FAR_FROM_GROUND
+from dynamics.vehicle import GRAVITY
+from runtime.control.controller import Controller
+from runtime.control.rti.last_setpoint import CheckedSetpoint, LastSetpointCheck, LastSetpointModel, Outcome
+from runtime.flight.decision import Decision, LastSetpointMode
+from runtime.flight.events import Event, Fallback
+from runtime.flight.mission import Mission
+from runtime.flight.motion import Motion
+from runtime.flight.phases import Handler
+from runtime.flight.setpoint_output import SetpointOutput
+from runtime.link.estimate import StateEstimate
+
+LOSS_TIME = "COM_OF_LOSS_T"  # PX4's, s without a setpoint, after which its failsafe acts
+USUAL_LOSS_TIME = 1.0  # s
+SWITCHING = 0.12  # s from there until PX4 has changed its mode, measured
+TRANSIT = 0.01  # s from an estimate's arrival to the setpoint's effect, beyond the rate loop's own delay
+ATTITUDE_GAIN, ATTITUDE_RATE = 4.0, radians(220.0)  # PX4's MC_ROLL_P and MC_ROLLRATE_MAX
+LAND_SPEED = 0.7  # m/s, MPC_LAND_SPEED
+PATIENCE = 3.0  # s in which the failsafe brakes
+EDGE = 0.1  # m that setpoints stay from the sides of the box
+SPREAD = 0.15  # m/s by which a prediction errs more and more: an estimate's velocity and tilt
+TOUCH_SPEED, TOUCH_UPRIGHT = 1.5, 0.85  # m/s and cosine of the tilt: a fall from 0.11 m, at 32 degrees
+MIN_LAG = 0.01  # s, of body rates
+MAX_DRAG, DRAG_SPEED, DRAG_TIME = 3.0, 2.0, 0.02  # 1/s; m/s and s of the prediction that shows it
+SAMPLES, MAX_SAMPLED = 150, 600.0  # of a motion that is to be flown, in its first s
+STILL = 1e-6  # rad/s
+MORE_RATE, MORE_THRUST = 0.3, 0.05  # rad/s and share of the weight, by which setpoints are more than their plan's
+NOT_CHECKED = (Fallback.LEVEL_HOLD, Fallback.STOP_STREAMING)  # flown without an estimate
+
+
+def last_setpoint_model(controller: Controller, nominal: Controller | None, loss_time: float) -> LastSetpointModel:
+    """What the check knows of a vehicle, beside its place. nominal: of the vehicle file's model beside a learned one.
+
+    loss_time: the autopilot's COM_OF_LOSS_T, s.
+    """
+    trim, vehicle, options = controller.trim, controller.model.vehicle, controller.options
+    catalogue = catalogue_of(vehicle)
+    modelled = modelled_motor_lag(vehicle.effects, catalogue)
+    tilt, yaw = options.rate_lookahead + modelled, options.yaw_lookahead + modelled
+    model = LastSetpointModel(hold=loss_time + SWITCHING, mass=trim.body.mass, thrust_max=trim.thrust_limits[1])
+    model.lag[:] = [max(lag, MIN_LAG) for lag in (tilt, tilt, yaw)]
+    model.thrust_lag = motor_time_constant(vehicle.effects, catalogue) + ACTUATION_DELAY
+    model.drag = linear_drag(nominal or controller)
+    model.rate_max[:] = trim.limits.rate
+    model.attitude_gain, model.attitude_rate_max = ATTITUDE_GAIN, ATTITUDE_RATE
+    model.sink, model.patience = LAND_SPEED, PATIENCE
+    model.edge, model.spread = EDGE, SPREAD
+    model.low[:], model.high[:] = trim.limits.box or ([-inf] * 3, [inf] * 3)
+    model.ground = -inf
+    model.touch_speed, model.touch_upright = TOUCH_SPEED, TOUCH_UPRIGHT
+    return model
+
+
+def linear_drag(controller: Controller) -> float:
+    """Deceleration over speed that a controller's model predicts of a level vehicle, 1/s; 0 of a learned model."""
+    if controller.is_learned:
+        return 0.0
+    solver, model = controller.solver, controller.model
+    state = model.initial_state(np.array([0.0, 0.0, FAR_FROM_GROUND, DRAG_SPEED, 0.0, 0.0, 1.0, *[0.0] * 6]))
+    for place in solver.rotor_speed_places:
+        state[place] = solver.trim.rotor_speed
+    after = float(solver.propagate(state, solver.trim.rotor_speed, DRAG_TIME)[VELOCITY][0])
+    return min(max((DRAG_SPEED - after) / (DRAG_SPEED * DRAG_TIME), 0.0), MAX_DRAG)
+
+
+def failing_share(check: LastSetpointCheck, motion: Motion, duration: float, thrust_constant: float) -> float:
+    """Share of a motion's setpoints that must not be the last ones.
+
+    duration: s of it. thrust_constant: of its inputs, N s^2/rad^2.
+    """
+    times, weight = np.linspace(0.0, min(duration, MAX_SAMPLED), SAMPLES), check.model.mass * GRAVITY
+    states, later = motion.states(times), motion.states(times + check.model.lag[0])[:, RATE]
+    thrusts = thrust_constant * np.sum(motion.inputs(times) ** 2, axis=1)
+    rates = later + MORE_RATE * later / np.maximum(np.linalg.norm(later, axis=1), STILL)[:, None]
+    sent = thrusts + MORE_THRUST * weight * np.sign(thrusts - weight)
+    rows = zip(states, thrusts.tolist(), rates, sent.tolist(), strict=True)
+    return float(np.mean([check.harm(state, 0.0, now, rate, thrust) > 0 for state, now, rate, thrust in rows]))
+
+
+class LastSetpointGuard:
+    """Replaces setpoints that must not be the last ones, in the phases in which the controller flies.
+
+    mode: auto: not in a flight that is planned with such setpoints, which an event says; replace: always; off: never.
+    findings: events of the last setpoint.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        nominal: Controller | None,
+        mission: Mission,
+        mode: LastSetpointMode,
+        loss_time: float,
+    ) -> None:
+        """loss_time: the autopilot's COM_OF_LOSS_T, s."""
+        self.findings: dict[Event, str] = {}
+        self._mode, self._mission, self._thrust_constant = mode, mission, controller.trim.rotors.thrust_constant
+        self._exempt = False
+        self._check: LastSetpointCheck | None = None
+        if mode != "off":
+            model = last_setpoint_model(controller, nominal, loss_time)
+            self._check = controller.solver.last_setpoint_check(model)
+
+    def begin(self) -> dict[Event, str]:
+        """Look at the planned flight once control is taken. Returns the event where it has setpoints that fail."""
+        if self._check is None or self._mode != "auto":
+            return {}
+        self._check.model.ground = self._mission.ground
+        planned = self._mission.planned()
+        shares = [failing_share(self._check, *motion, self._thrust_constant) for motion in planned]
+        share, hold = float(np.mean(shares)), self._check.model.hold
+        self._exempt = share > 0.0
+        if not self._exempt:
+            return {}
+        text = f"{share:.0%}, held for {hold:.1f} s, end outside of the box or at the ground"
+        return {Event.LAST_SETPOINT_UNCHECKED: f"{text}: fly it higher, slower, or with a lower {LOSS_TIME}"}
+
+    def replace(
+        self, decision: Decision, rate_body: Floats, estimate: StateEstimate | None, time: float, output: SetpointOutput
+    ) -> Floats:
+        """Check a decision's setpoint. Returns the body rates (3,) that may leave, rad/s; sets the decision's thrust.
+
+        estimate: the newest. time: s, now. output: knows the thrust that acts and that there is.
+        """
+        self.findings, policy = {}, self._mission.policy
+        if self._check is None or self._exempt or estimate is None or policy.handler is not Handler.FLY:
+            return rate_body
+        if decision.fallback in NOT_CHECKED:
+            return rate_body
+        model = self._check.model
+        model.ground, model.thrust_max = self._mission.ground, output.available_thrust
+        age = time - estimate.time + TRANSIT
+        checked = self._check.check(estimate.state, age, output.last_thrust, rate_body, decision.collective_thrust)
+        if checked.outcome is Outcome.PASSES:
+            return rate_body
+        self.findings = self._describe(checked, rate_body, decision.collective_thrust)
+        decision.collective_thrust = checked.collective_thrust
+        return checked.rate_body
+
+    def _describe(self, checked: CheckedSetpoint, rate_body: Floats, thrust: float) -> dict[Event, str]:
+        if checked.outcome is Outcome.NONE_PASSES:
+            return {
+                Event.LAST_SETPOINT_UNSAFE: f"the least bad one leaves, {checked.harm:.1f} m outside or m/s of impact"
+            }
+        before, after = float(np.linalg.norm(rate_body)), float(np.linalg.norm(checked.rate_body))
+        text = f"body rates {before:.1f} to {after:.1f} rad/s, thrust {thrust:.2f} to {checked.collective_thrust:.2f} N"
+        return {Event.LAST_SETPOINT_REPLACED: f"{text}, else {checked.harm_given:.1f} m outside or m/s of impact"}
