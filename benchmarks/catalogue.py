@@ -407,6 +407,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("runtime/control/rti/last_setpoint.h", "runtime/flight/last_setpoint.py", "sitl_mock/vehicle"),
             ("--flights", "1", "--each", "2", *NOT_KEPT),
         ),
+        "kills": Measurement(
+            "benchmarks.last_setpoint:kills",
+            ("last_setpoint_kills",),
+            ("runtime/control/rti/last_setpoint.h", "runtime/flight/last_setpoint.py", "runtime"),
+            ("--kills", "1", *NOT_KEPT),
+        ),
     },
     "mutation": {
         "tests_kill": Measurement(

@@ -5,24 +5,28 @@ In lockstep: 12 s of a manoeuvre of the catalogue in a random plane, size, speed
 forks, and in the fork nothing is sent any more: the mock holds the last setpoint for COM_OF_LOSS_T, 1 s, then its
 failsafe lands (COM_OBL_RC_ACT 4). The flight itself goes on. A violation is a true position outside of the box, or a
 first contact with the ground faster than 1.5 m/s or tilted by more than 32 degrees. Each manoeuvre is flown in each
-mode. Metres are those from the place of death to the farthest place until the failsafe has braked.
+mode; `auto` dies as `off` where it leaves the flight alone, and as `replace` where it checks it. Metres are those from
+the place of death to the farthest place until the failsafe has braked.
 
-    python -m benchmarks last_setpoint deaths [--flights 30] [--each 36]
+    python -m benchmarks last_setpoint deaths [--flights 28] [--each 36]
 """
 
 from __future__ import annotations
 
 import json
 import os
+import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from benchmarks.link.daemon import ALULA
 from benchmarks.measurement import Page, Result, measured, options_of, paragraph_of
 from benchmarks.provenance import RESULTS
 from dynamics.arrays import Floats
@@ -37,12 +41,17 @@ from runtime.flight.contact import uprightness
 from runtime.flight.decision import FlyerSettings, LastSetpointMode
 from runtime.flight.events import Event
 from runtime.flight.health import HealthLimits
-from runtime.flight.last_setpoint import TOUCH_SPEED, TOUCH_UPRIGHT, failing_share, last_setpoint_model
+from runtime.flight.last_setpoint import LAND_SPEED, TOUCH_SPEED, TOUCH_UPRIGHT, failing_share, last_setpoint_model
 from runtime.flight.mission import Plan
 from runtime.flight.phases import Phase
+from simulation.mock_process import free_port
 from simulation.whole_flight import CARRIED, Lockstep, WholeFlight, fly_whole
+from sitl_mock.autopilot.autopilot import Autopilot
 from sitl_mock.autopilot.modes import Mode
-from sitl_mock.mock import MockOptions
+from sitl_mock.mock import MockOptions, build_autopilot
+from sitl_mock.server import Server, Wire
+from sitl_mock.vehicle.vehicle import SimulatedVehicle
+from sitl_mock.wire.link_spec import parse_link
 from vehicles import FOLDER
 
 VEHICLES: Mapping[str, tuple[float, float]] = {"arpl_250g": (0.5, 1.1), "px4_sih": (0.4, 0.7)}  # speed, from and to
@@ -51,6 +60,7 @@ ALOFT = (Phase.CLIMB, Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN, Ph
 FIRST_SEED, DURATION, LIMIT = 71_000, 12.0, 90.0
 WATCHED = 12.0  # s after a death, at most
 BRAKED = 0.3  # m/s
+ALOFT_HEIGHT = 0.5  # m
 PICTURE = "last_setpoint.png"
 TICKS = 2200  # aloft, of a flight
 LOSS_TIMES, HEIGHTS, PLANNED = (1.0, 0.5, 0.3), (1.0, 3.0, 8.0), (*PAPER, "hover", "circle", "line")
@@ -113,66 +123,89 @@ class Deaths:
 
     def _die(self, flight: Lockstep) -> dict[str, Any]:
         """What happens when nothing is sent any more."""
-        autopilot, vehicle, (low, high) = flight.autopilot, flight.vehicle, self._box
-        start, place, sent = autopilot.time, vehicle.truth.position_world.copy(), autopilot.commander.offboard.count
-        outside, farthest, impact, tilt, contact = 0.0, 0.0, 0.0, 1.0, False
-        while autopilot.time - start < WATCHED:
-            before = vehicle.truth
-            autopilot.step()
-            truth = vehicle.truth
-            outside = max(outside, float(np.max(np.maximum(low - truth.position_world, truth.position_world - high))))
-            farthest = max(farthest, float(np.linalg.norm(truth.position_world - place)))
-            tilt = min(tilt, uprightness(truth.attitude))
-            sideways, sinking = float(np.hypot(*truth.velocity_world[:2])), -float(truth.velocity_world[2])
-            if vehicle.ground_force > CARRIED:
-                contact, speed = True, -float(before.velocity_world[2])
-                impact = speed if speed > TOUCH_SPEED or uprightness(truth.attitude) < TOUCH_UPRIGHT else 0.0
-                break
-            failsafe = autopilot.commander.mode is not Mode.OFFBOARD
-            if failsafe and sideways < BRAKED and abs(sinking - 0.7) < BRAKED and uprightness(truth.attitude) > 0.97:
-                break
+        fall = Fall(flight.autopilot, self._box)
+        while not fall.over:
+            flight.autopilot.step()
+            fall.look()
+        return {"phase": flight.flyer.mission.phase.value, **fall.result}
+
+
+class Fall:
+    """A vehicle whose stream of setpoints has ended, until the failsafe has braked it or it touches the ground.
+
+    over: whether that has come.
+    """
+
+    def __init__(self, autopilot: Autopilot, box: tuple[Floats, Floats]) -> None:
+        assert isinstance(autopilot.vehicle, SimulatedVehicle)
+        self.over = False
+        self._autopilot, self._vehicle, self._box = autopilot, autopilot.vehicle, box
+        self._start, self._sent = autopilot.time, autopilot.commander.offboard.count
+        self._place, self._sinking = self._vehicle.truth.position_world.copy(), 0.0
+        self._outside, self._farthest, self._impact, self._upright = 0.0, 0.0, 0.0, 1.0
+
+    def look(self) -> None:
+        """Look at the vehicle after a step of the autopilot."""
+        truth, (low, high) = self._vehicle.truth, self._box
+        position, upright = truth.position_world, uprightness(truth.attitude)
+        self._outside = max(self._outside, float(np.max(np.maximum(low - position, position - high))))
+        self._farthest = max(self._farthest, float(np.linalg.norm(position - self._place)))
+        self._upright = min(self._upright, upright)
+        sideways, before = float(np.hypot(*truth.velocity_world[:2])), self._sinking
+        self._sinking = -float(truth.velocity_world[2])
+        contact = self._vehicle.ground_force > CARRIED
+        if contact and (before > TOUCH_SPEED or upright < TOUCH_UPRIGHT):
+            self._impact = max(before, 1e-3)
+        failsafe = self._autopilot.commander.mode is not Mode.OFFBOARD
+        braked = failsafe and sideways < BRAKED and abs(self._sinking - LAND_SPEED) < BRAKED and upright > 0.97
+        self.over = contact or braked or self._autopilot.time - self._start > WATCHED
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """Metres outside and travelled, m/s of an impact, greatest tilt in degrees, setpoints that came."""
         return {
-            "phase": flight.flyer.mission.phase.value,
-            "outside": outside,
-            "metres": farthest,
-            "impact": impact,
-            "contact": contact,
-            "tilt": float(np.degrees(np.arccos(tilt))),
-            "sent": autopilot.commander.offboard.count - sent,
-            "seconds": autopilot.time - start,
+            "outside": self._outside,
+            "metres": self._farthest,
+            "impact": self._impact,
+            "tilt": float(np.degrees(np.arccos(self._upright))),
+            "sent": self._autopilot.commander.offboard.count - self._sent,
+            "seconds": self._autopilot.time - self._start,
         }
+
+
+def vehicle_in_box(case: Mapping[str, Any], reference: Reference, folder: Path) -> Path:
+    """The file of a case's vehicle with its box."""
+    plain, file = read_vehicle(FOLDER / f"{case['vehicle']}.toml"), folder / "vehicle.toml"
+    corners = tuple(tuple(float(round(v, 3)) for v in corner) for corner in box_around(reference, case["margins"]))
+    write_vehicle(msgspec.structs.replace(plain, limits=msgspec.structs.replace(plain.limits, box=corners)), file)
+    return file
+
+
+def options_of_mock(case: Mapping[str, Any], file: Path) -> MockOptions:
+    """The mock of a case: by motion capture, its failsafe lands."""
+    parameters = {"COM_OBL_RC_ACT": 4.0}
+    return MockOptions(
+        file, seed=case["number"], estimator="mocap", ground="legs", clock="steady", parameters=parameters
+    )
 
 
 def flown(case: Mapping[str, Any]) -> dict[str, Any]:
     """One flight in one mode, with its deaths."""
-    source = FOLDER / f"{case['vehicle']}.toml"
-    reference = named_reference(case["reference"], read_vehicle(source))
-    box = box_around(reference, case["margins"])
-    corners = tuple(tuple(round(float(value), 3) for value in corner) for corner in box)
+    reference = named_reference(case["reference"], read_vehicle(FOLDER / f"{case['vehicle']}.toml"))
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "vehicle.toml"
-        plain = read_vehicle(source)
-        vehicle = msgspec.structs.replace(plain, limits=msgspec.structs.replace(plain.limits, box=corners))
-        write_vehicle(vehicle, file)
-        settings = FlyerSettings(
-            period=CONTROL_PERIOD, health=HealthLimits.for_vehicle(vehicle), last_setpoint=case["mode"]
-        )
-        deaths = Deaths(box, case["number"], case["deaths"], case["ticks"])
+        file = vehicle_in_box(case, reference, Path(folder))
+        health = HealthLimits.for_vehicle(read_vehicle(file))
+        settings = FlyerSettings(period=CONTROL_PERIOD, health=health, last_setpoint=case["mode"])
+        deaths = Deaths(box_around(reference, case["margins"]), case["number"], case["deaths"], case["ticks"])
         replaced = Replaced()
 
         def watch(flight: Lockstep) -> None:
             replaced.watch(flight)
             deaths.watch(flight)
 
-        flight = fly_whole(
-            MockOptions(file, seed=case["number"], estimator="mocap", ground="legs", clock="steady",
-                        parameters={"COM_OBL_RC_ACT": 4.0}),
-            reference,
-            plan=Plan(origin="takeoff", height=1.5, duration=DURATION),
-            settings=settings,
-            watch=watch,
-            limit=LIMIT,
-        )  # fmt: skip
+        plan = Plan(origin="takeoff", height=1.5, duration=DURATION)
+        options = options_of_mock(case, file)
+        flight = fly_whole(options, reference, plan=plan, settings=settings, watch=watch, limit=LIMIT)
     return {**case, "deaths": deaths.results, **_of_flight(flight), "replaced": replaced.share, "none": replaced.none}
 
 
@@ -217,15 +250,16 @@ def fly(case: Mapping[str, Any]) -> dict[str, Any]:
 
 def deaths(words: Sequence[str]) -> Page:
     """The measurement's page."""
-    parser = options_of(__doc__, jobs=2, resumes="last_setpoint", flights=30, each=36)
+    parser = options_of(__doc__, jobs=2, resumes="last_setpoint", flights=28, each=36)
     chosen = parser.parse_args(words)
     cases = [
-        {**drawn(number), "mode": mode, "deaths": chosen.each, "ticks": TICKS}
+        {**drawn(number), "mode": mode, "deaths": 0 if mode == "auto" else chosen.each, "ticks": TICKS}
         for number in range(chosen.flights)
         for mode in MODES
     ]
     results = measured(fly, cases, chosen, _line, key_of=key_of)
     by_mode = {mode: [r for r in results if r["mode"] == mode] for mode in MODES}
+    by_mode["auto"] = [_with_deaths(flight, by_mode) for flight in by_mode["auto"]]
     written = not (chosen.no_page or chosen.quick)
     if written:
         draw({mode: metres_of(flights) for mode, flights in by_mode.items()}, RESULTS / PICTURE)
@@ -243,6 +277,12 @@ def deaths(words: Sequence[str]) -> Page:
         _time_table(200 if chosen.quick else 20_000),
     ]
     return Page("last_setpoint", "A setpoint that may be the last one", "\n\n".join(filter(None, parts)))
+
+
+def _with_deaths(flight: Result, by_mode: Mapping[str, Sequence[Result]]) -> Result:
+    """A flight of `auto` with the deaths of the mode that it is flown in."""
+    flown_as = by_mode["off" if flight["unchecked"] else "replace"]
+    return {**flight, "deaths": next(other["deaths"] for other in flown_as if other["number"] == flight["number"])}
 
 
 def _line(result: Result) -> str:
@@ -365,3 +405,82 @@ def draw(metres: Mapping[str, Sequence[float]], path: Path) -> None:
         axes.set_ylabel("deaths")
     rows[-1].set_xlabel("metres from the place of death to the farthest place until the failsafe has braked")
     figure.savefig(path, dpi=110)
+
+
+def kills(words: Sequence[str]) -> Page:
+    """True `kill -9` of `alula fly` in the air, beside the mock in this process, in real time.
+
+    A manoeuvre of the measurement in lockstep with its box, killed 1 to 14 s after it has left the ground. The last
+    setpoint that counts is what had arrived when the process was gone.
+
+        python -m benchmarks last_setpoint kills [--kills 12]
+    """
+    parser = options_of(kills.__doc__, resumes="last_setpoint_kills", kills=12)
+    parser.set_defaults(jobs=1)
+    chosen = parser.parse_args(words)
+    cases = [{**drawn(number), "mode": mode} for number in range(chosen.kills) for mode in ("off", "replace")]
+    results = measured(killed, cases, chosen, lambda r: f"{r['key']}: {r['death']}", key_of=key_of)
+    head = ("mode", "kills in the air", "violations", "setpoints after death", "metres, median", "most")
+    rows = [" | ".join(head), " | ".join("---" for _ in head)]
+    for mode in ("off", "replace"):
+        each = [result["death"] for result in results if result["mode"] == mode and result["death"]]
+        metres = [death["metres"] for death in each] or [float("nan")]
+        counts = len(each), sum(map(violates, each)), sum(death["sent"] for death in each)
+        rows.append(" | ".join([mode, *map(str, counts), f"{np.median(metres):.2f}", f"{max(metres):.2f}"]))
+    away = [result["key"] for result in results if not result["death"]]
+    parts = [paragraph_of(kills.__doc__), "\n".join(f"| {row} |" for row in rows)]
+    if away:
+        parts.append(f"Not in the air when it was to be killed: {', '.join(away)}.")
+    return Page("last_setpoint_kills", "kill -9 of the daemon in flight", "\n\n".join(parts))
+
+
+def killed(case: Mapping[str, Any]) -> dict[str, Any]:
+    """A case and the death of its daemon, empty where it was not in the air."""
+    reference = named_reference(case["reference"], read_vehicle(FOLDER / f"{case['vehicle']}.toml"))
+    with tempfile.TemporaryDirectory() as folder:
+        file = vehicle_in_box(case, reference, Path(folder))
+        port = free_port()
+        autopilot = build_autopilot(options_of_mock(case, file))
+        specs = [parse_link(f"udpout:127.0.0.1:{port}", "onboard")]
+        wires = [Wire(autopilot.add_link(spec.name, spec.role), spec.open()) for spec in specs]
+        command = [*ALULA, "fly", "--link", f"udpin:127.0.0.1:{port}", "--vehicle", str(file), "--reference",
+                   case["reference"], "--last-setpoint", case["mode"]]  # fmt: skip
+        steady = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK  # a mock that starves would end the flight
+        with suppress(PermissionError):
+            os.sched_setscheduler(0, steady, os.sched_param(1))
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as daemon:
+            watch = Killing(autopilot, daemon, box_around(reference, case["margins"]), case["number"])
+            try:
+                Server(autopilot, wires).run(watch)
+            finally:
+                daemon.kill()
+    return {"key": key_of(case), **case, "death": watch.death}
+
+
+class Killing:
+    """Kills the daemon in the air and watches the vehicle. death: what came of it, None before."""
+
+    def __init__(
+        self, autopilot: Autopilot, daemon: subprocess.Popen[bytes], box: tuple[Floats, Floats], seed: int
+    ) -> None:
+        self.death: dict[str, Any] | None = None
+        self._autopilot, self._daemon = autopilot, daemon
+        self._after = float(np.random.default_rng((FIRST_SEED, seed, 9)).uniform(1.0, 14.0))
+        self._box, self._flown_since = box, float("inf")
+        self._fall: Fall | None = None
+
+    def __call__(self) -> bool:
+        """Whether the flight has been watched to its end."""
+        autopilot = self._autopilot
+        if self._fall is not None:
+            self._fall.look()
+            self.death = self._fall.result if self._fall.over else None
+            return self._fall.over
+        height = float(autopilot.vehicle.estimate.position_world[2])
+        aloft = height > ALOFT_HEIGHT and autopilot.commander.mode is Mode.OFFBOARD
+        self._flown_since = min(self._flown_since, autopilot.time if aloft else float("inf"))
+        if aloft and autopilot.time - self._flown_since > self._after:
+            self._daemon.kill()
+            self._daemon.wait()
+            self._fall = Fall(autopilot, self._box)
+        return self._daemon.poll() is not None and self._fall is None
