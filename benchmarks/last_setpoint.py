@@ -122,7 +122,7 @@ class Deaths:
         self.results.append(json.loads(text))
 
     def _die(self, flight: Lockstep) -> dict[str, Any]:
-        """What happens when nothing is sent any more."""
+        """The rest of the flight when nothing is sent any more."""
         fall = Fall(flight.autopilot, self._box)
         while not fall.over:
             flight.autopilot.step()
@@ -142,14 +142,14 @@ class Fall:
         self._autopilot, self._vehicle, self._box = autopilot, autopilot.vehicle, box
         self._start, self._sent = autopilot.time, autopilot.commander.offboard.count
         self._place, self._sinking = self._vehicle.truth.position_world.copy(), 0.0
-        self._outside, self._farthest, self._impact, self._upright = 0.0, 0.0, 0.0, 1.0
+        self._outside, self._distance, self._impact, self._upright = 0.0, 0.0, 0.0, 1.0
 
     def look(self) -> None:
         """Look at the vehicle after a step of the autopilot."""
         truth, (low, high) = self._vehicle.truth, self._box
         position, upright = truth.position_world, uprightness(truth.attitude)
         self._outside = max(self._outside, float(np.max(np.maximum(low - position, position - high))))
-        self._farthest = max(self._farthest, float(np.linalg.norm(position - self._place)))
+        self._distance = max(self._distance, float(np.linalg.norm(position - self._place)))
         self._upright = min(self._upright, upright)
         sideways, before = float(np.hypot(*truth.velocity_world[:2])), self._sinking
         self._sinking = -float(truth.velocity_world[2])
@@ -165,7 +165,7 @@ class Fall:
         """Metres outside and travelled, m/s of an impact, greatest tilt in degrees, setpoints that came."""
         return {
             "outside": self._outside,
-            "metres": self._farthest,
+            "metres": self._distance,
             "impact": self._impact,
             "tilt": float(np.degrees(np.arccos(self._upright))),
             "sent": self._autopilot.commander.offboard.count - self._sent,

@@ -45,7 +45,7 @@ NOT_CHECKED = (Fallback.LEVEL_HOLD, Fallback.STOP_STREAMING)  # flown without an
 
 
 def last_setpoint_model(controller: Controller, nominal: Controller | None, loss_time: float) -> LastSetpointModel:
-    """What the check knows of a vehicle, beside its place. nominal: of the vehicle file's model beside a learned one.
+    """The check's model of a vehicle, beside its place. nominal: of the vehicle file's model beside a learned one.
 
     loss_time: the autopilot's COM_OF_LOSS_T, s.
     """

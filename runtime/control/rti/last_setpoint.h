@@ -20,7 +20,7 @@
 #define LAST_LEAD 0.5            /* s of the velocity ahead at which PX4's modes stop */
 #define LAST_MIN_THRUST 0.12     /* MPC_THR_MIN */
 #define LAST_REST 0.3            /* m/s, below which the failsafe has braked */
-#define LAST_LEAN 0.4            /* rad against the velocity, in which a setpoint that brakes ends at most */
+#define LAST_COUNTER_TILT 0.4    /* rad against the velocity, in which a setpoint that brakes ends at most */
 #define LAST_ROOM 0.5            /* of the way to a side of the box, that the margin takes at most */
 #define LAST_ALTERNATIVES 3
 #define LAST_BISECTIONS 3        /* between a setpoint that passes and the one that does not: to 1/8 of the way */
@@ -186,14 +186,14 @@ static double last_harm(const last_setpoint_model *m, const last_setpoint_motion
 
 static double last_clip(double value, double limit) { return fmin(fmax(value, -limit), limit); }
 
-/* A setpoint (4) that ends upright, or leaning by up to `lean` rad against the velocity, and not falling. */
-static void last_alternative(const last_setpoint_model *m, const last_setpoint_motion *s, int levels, double lean,
+/* A setpoint (4) that ends upright, or tilted by up to `tilt` rad against the velocity, and not falling. */
+static void last_alternative(const last_setpoint_model *m, const last_setpoint_motion *s, int levels, double tilt,
                              double *setpoint) {
     const double *q = s->attitude, *v = s->velocity;
     double up[3], target[3] = {0, 0, 1}, speed = sqrt(v[0] * v[0] + v[1] * v[1]);
     last_up(q, up);
     if (speed > 1e-3) {
-        double tangent = tan(fmin(lean, 0.3 * lean * speed)), length = sqrt(1 + tangent * tangent);
+        double tangent = tan(fmin(tilt, 0.3 * tilt * speed)), length = sqrt(1 + tangent * tangent);
         target[0] = -tangent * v[0] / speed / length, target[1] = -tangent * v[1] / speed / length;
         target[2] = 1 / length;
     }
@@ -255,7 +255,7 @@ int last_setpoint_check(const last_setpoint_model *m, const double *state, doubl
     memcpy(given, setpoint, sizeof given), memcpy(best, setpoint, sizeof best);
     for (int k = 0; k < LAST_ALTERNATIVES && harm[1] > 0; k++) {
         double other[4];
-        last_alternative(m, &s, k < 2, k == 1 ? LAST_LEAN : 0, other);
+        last_alternative(m, &s, k < 2, k == 1 ? LAST_COUNTER_TILT : 0, other);
         double of_other = last_harm(m, &s, other);
         if (of_other < harm[1]) harm[1] = of_other, memcpy(best, other, sizeof best);
     }

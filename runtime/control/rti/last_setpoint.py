@@ -53,7 +53,7 @@ class LastSetpointModel(ctypes.Structure):
 
 
 class Outcome(IntEnum):
-    """What the check did with a setpoint."""
+    """Outcome of the check of a setpoint."""
 
     PASSES = 0
     REPLACED = 1
@@ -104,8 +104,8 @@ class LastSetpointCheck:
         self._state[:], self._setpoint[:3], self._setpoint[3] = state[:13], rate_body, collective_thrust
         model, at_state, at_setpoint, at_harm = self._pointers
         outcome = Outcome(self._check(model, at_state, age, thrust_now, at_setpoint, at_harm))
-        given, left = self._harm.tolist()
-        return CheckedSetpoint(outcome, self._setpoint[:3].copy(), float(self._setpoint[3]), given, left)
+        before, after = self._harm.tolist()
+        return CheckedSetpoint(outcome, self._setpoint[:3].copy(), float(self._setpoint[3]), before, after)
 
     def harm(self, state: Floats, age: float, thrust_now: float, rate_body: Floats, collective_thrust: float) -> float:
         """Harm of a setpoint, which is not replaced; arguments as of `check`."""
