@@ -139,7 +139,8 @@ class Flyer:
             return None
         before, correction = self._measured.correction
         limit, value = self.mission.policy.tilt_rate, self.effectiveness.value
-        return TickPlan(main, before, correction, limit, self.output.hand_over, value)
+        model = self.last_setpoint.planned(self.output)
+        return TickPlan(main, before, correction, limit, self.output.hand_over, value, model, self.output.last_thrust)
 
     def step(
         self, observation: ObservationRecord, estimate: StateEstimate | None, answer: Answer | None = None

@@ -131,6 +131,18 @@ class LastSetpointGuard:
         text = f"{share:.0%}, held for {hold:.1f} s, end outside of the box or at the ground"
         return {Event.LAST_SETPOINT_UNCHECKED: f"{text}: fly it higher, slower, or with a lower {LOSS_TIME}"}
 
+    def planned(self, output: SetpointOutput) -> LastSetpointModel | None:
+        """The model by which the next tick's setpoint is checked, None where it is not. output: knows the thrust."""
+        if self._check is None or self._exempt:
+            return None
+        self._place(output)
+        return self._check.model
+
+    def _place(self, output: SetpointOutput) -> None:
+        assert self._check is not None
+        model = self._check.model
+        model.ground, model.thrust_max = self._mission.ground, output.available_thrust
+
     def replace(
         self, decision: Decision, rate_body: Floats, estimate: StateEstimate | None, time: float, output: SetpointOutput
     ) -> Floats:
@@ -143,8 +155,7 @@ class LastSetpointGuard:
             return rate_body
         if decision.fallback in NOT_CHECKED:
             return rate_body
-        model = self._check.model
-        model.ground, model.thrust_max = self._mission.ground, output.available_thrust
+        self._place(output)
         age = time - estimate.time + TRANSIT
         checked = self._check.check(estimate.state, age, output.last_thrust, rate_body, decision.collective_thrust)
         if checked.outcome is Outcome.PASSES:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dynamics.arrays import Floats
 from runtime.control.controller import Controller
+from runtime.control.rti.last_setpoint import LastSetpointModel
 from runtime.flight.events import POLICIES, Event
 from runtime.flight.failsafe import SUSTAINED
 from runtime.flight.takeoff import HandOver
@@ -23,6 +24,8 @@ class TickPlan:
     tilt_rate: limit of roll and pitch rates, rad/s.
     hand_over: transition from another thrust, None without one.
     effectiveness: thrust per modelled thrust.
+    last_setpoint: by which setpoints that may be the last ones are checked, None where they are not.
+    last_thrust: collective thrust of the setpoint before, N.
     """
 
     controller: Controller
@@ -31,6 +34,8 @@ class TickPlan:
     tilt_rate: float
     hand_over: HandOver | None
     effectiveness: float
+    last_setpoint: LastSetpointModel | None
+    last_thrust: float
 
 
 def leaves_tick(events: Iterable[Event]) -> bool:

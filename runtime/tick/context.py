@@ -11,6 +11,7 @@ from dynamics.vehicle import Vehicle
 from runtime.control.controller import HISTORY, Controller
 from runtime.flight import consistent_velocity
 from runtime.flight.health import HealthLimits
+from runtime.flight.last_setpoint import TRANSIT
 from runtime.flight.thrust import ThrustMap
 from runtime.flight.tick_plan import TickPlan
 from runtime.link import odometry, peer
@@ -81,6 +82,7 @@ def write_solver(target: Any, controller: Controller) -> None:
     """The functions and the memory of a controller's solver."""
     addresses = controller.solver.addresses
     target.handle, target.propagate, target.feedback = addresses.handle, addresses.propagate, addresses.feedback
+    target.check = addresses.check
     target.states, target.inputs = addresses.states, addresses.inputs
     target.state_count, target.rotor_count = controller.model.state_count, controller.model.input_count
 
@@ -99,6 +101,8 @@ def write_plan(target: Any, plan: TickPlan, *, not_before: float = -inf) -> None
         target.hand_over_started, target.hand_over_duration = hand_over.started, hand_over.duration
         target.hand_over_thrust = hand_over.collective_thrust
     target.effectiveness = plan.effectiveness
+    target.last_setpoint = None if plan.last_setpoint is None else ctypes.addressof(plan.last_setpoint)
+    target.transit, target.thrust_now = TRANSIT, plan.last_thrust
 
 
 def write_link(

@@ -15,6 +15,7 @@ _TYPES: Mapping[str, Any] = {
     "uint8_t": ctypes.c_uint8,
     "alula_propagate": ctypes.c_void_p,
     "alula_feedback": ctypes.c_void_p,
+    "alula_check": ctypes.c_void_p,
 }
 _STRUCT = re.compile(r"typedef struct \{\n(.*?)\n\} (alula_\w+);", re.DOTALL)
 _MEMBER = re.compile(r"^\s*(?:const )?(\w+) (\*?)(\w+)(?:\[(\w+)\])?;")

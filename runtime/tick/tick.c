@@ -229,6 +229,16 @@ static double signal_for(double thrust, double factor) {
     return (-linear + sqrt(linear * linear + 4.0 * factor * greater(thrust, 0.0))) / (2.0 * factor);
 }
 
+/* Replace a setpoint that must not be the last one (last_setpoint.h). */
+static void check_last(const alula_context *context, double now, alula_result *result) {
+    const alula_plan *plan = &context->plan;
+    const double *rate = result->rate, age = now - result->time + plan->transit;
+    double setpoint[4] = {rate[0], rate[1], rate[2], result->collective_thrust}, harm[2];
+    if (!context->solver.check(plan->last_setpoint, result->corrected, age, plan->thrust_now, setpoint, harm)) return;
+    for (int i = 0; i < 3; i++) result->rate[i] = limited(setpoint[i], context->vehicle.rate_limit[i]);
+    result->collective_thrust = smaller(greater(setpoint[3], 0.0), context->vehicle.thrust_limit);
+}
+
 /* The answer within the vehicle's limits, its thrust in the autopilot's 0..1. */
 static void finish(const alula_context *context, double now, alula_result *result) {
     const alula_vehicle *vehicle = &context->vehicle;
@@ -245,6 +255,7 @@ static void finish(const alula_context *context, double now, alula_result *resul
     }
     for (int i = 0; i < 3; i++) result->rate[i] = limited(rate[i], vehicle->rate_limit[i]);
     result->collective_thrust = smaller(greater(thrust, 0.0), vehicle->thrust_limit);
+    if (plan->last_setpoint) check_last(context, now, result);
     const double available = vehicle->thrust_max * plan->effectiveness;
     const double share = smaller(greater(result->collective_thrust / available, 0.0), 1.0);
     result->thrust = thrust_at(signal_for(share, vehicle->vehicle_curve), vehicle->autopilot_curve);

@@ -44,12 +44,16 @@ enum {
 
 typedef void (*alula_propagate)(void *solver, const double *state, const double *speeds, double seconds, double *next);
 typedef int (*alula_feedback)(void *solver, const double *state);
+typedef int (*alula_check)(const void *model, const double *state, double age, double thrust_now, double *setpoint,
+                           double *harm);
 
-/* A solver that is prepared for this tick: a kernel's rti_propagate, rti_feedback, rti_states and rti_inputs. */
+/* A solver that is prepared for this tick: a kernel's rti_propagate, rti_feedback, rti_states and rti_inputs, and its
+ * last_setpoint_check (last_setpoint.h). */
 typedef struct {
     void *handle;
     alula_propagate propagate;
     alula_feedback feedback;
+    alula_check check;
     const double *states; /* (nodes + 1, state_count) predicted */
     const double *inputs; /* (nodes, rotor_count) predicted rotor speeds, rad/s */
     int32_t state_count;
@@ -153,6 +157,9 @@ typedef struct {
     double hand_over_thrust;      /* N */
     double hand_over_duration;    /* s */
     double effectiveness;         /* thrust per modelled thrust */
+    const void *last_setpoint;    /* a last_setpoint_model by which setpoints are checked; 0: they are not */
+    double transit;               /* s from now until a setpoint acts, for that check */
+    double thrust_now;            /* N, of the setpoint before, which acts until then */
 } alula_plan;
 
 /* Everything that a tick has used and decided. */

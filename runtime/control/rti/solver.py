@@ -81,11 +81,12 @@ class FilterOptions(ctypes.Structure):
 
 
 class SolverAddresses(NamedTuple):
-    """A solver's handle, two of its functions, and the memory of its predicted states and inputs."""
+    """A solver's handle, three of its functions, and the memory of its predicted states and inputs."""
 
     handle: int
     propagate: int
     feedback: int
+    check: int
     states: int
     inputs: int
 
@@ -183,8 +184,14 @@ class RtiSolver:
         def function(name: str) -> int:
             return ctypes.cast(getattr(self._code, name), ctypes.c_void_p).value or 0
 
-        memory = self.states.ctypes.data, self.inputs.ctypes.data
-        return SolverAddresses(self._handle.value or 0, function("rti_propagate"), function("rti_feedback"), *memory)
+        return SolverAddresses(
+            handle=self._handle.value or 0,
+            propagate=function("rti_propagate"),
+            feedback=function("rti_feedback"),
+            check=function("last_setpoint_check"),
+            states=self.states.ctypes.data,
+            inputs=self.inputs.ctypes.data,
+        )
 
     def __del__(self) -> None:
         if handle := getattr(self, "_handle", None):

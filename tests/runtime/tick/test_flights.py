@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from dynamics.vehicle_file import read_vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.consistent_heading import ConsistentHeading
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.events import Event
 from runtime.flight.motion import Transfer
 from runtime.flight.phases import Phase
@@ -78,6 +80,26 @@ def test_c_and_python_fly_the_same_flight(arpl_250g: Vehicle) -> None:
     ]  # fmt: skip
     assert setpoints_of(stories[0]) == setpoints_of(stories[1])
     assert stories[0].phases == stories[1].phases
+
+
+def test_setpoints_that_must_not_be_the_last_ones_are_replaced_in_c_as_in_python(
+    arpl_250g: Vehicle, tmp_path: Path
+) -> None:
+    limits = msgspec.structs.replace(arpl_250g.limits, box=((-2.5, -2.5, -1.0), (2.5, 2.5, 3.0)))
+    vehicle = msgspec.structs.replace(arpl_250g, limits=limits)
+    settings = FlyerSettings(last_setpoint="replace")
+    stories = []
+    for kind in (Flight, FlightInC):
+        controller = Controller.build(vehicle)
+        flight = kind(vehicle, controller, reference_of(vehicle), settings=settings)
+        stories.append(flight.run(11.0))
+    assert setpoints_of(stories[0]) == setpoints_of(stories[1])
+    assert Event.LAST_SETPOINT_REPLACED in stories[1].raised
+    assert isinstance(flight, FlightInC)
+    assert flight.answered > 500
+    assert not flight.differing
+    recording = record(stories[1], controller, tmp_path, settings=settings)
+    assert replay(recording, vehicle, reference_of(vehicle)).exact
 
 
 def test_a_heading_that_turns_in_an_answered_tick_is_corrected_from_the_next_on(
