@@ -233,6 +233,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("runtime/flight/health.py", "runtime/control", "vehicles"),
             ("--noise", "1", "--models", "nominal", "--manoeuvres", "Lemniscate"),
         ),
+        "horizons": Measurement(
+            "benchmarks.tracking.horizons:horizons",
+            ("horizons",),
+            ("runtime/control/rti", "runtime/control/controller.py", "dynamics/controller_settings.py"),
+            ("--cases", "5", *NOT_KEPT),
+        ),
         "lookaheads": Measurement(
             "benchmarks.tracking.controller:lookaheads",
             ("controller_defaults",),
