@@ -234,7 +234,7 @@ POLICIES: Mapping[Event, Policy] = {
     Event.LAST_SETPOINT_REPLACED: Policy("a setpoint that must not be the last one was replaced", Severity.NOTICE),
     Event.LAST_SETPOINT_UNSAFE: Policy("no setpoint may be the last one", Severity.WARNING),
     Event.LAST_SETPOINT_UNCHECKED: Policy(
-        "the flight is planned with setpoints that must not be the last ones", Severity.NOTICE, clear_after=NEVER
+        "setpoints that must not be the last ones are not replaced", Severity.NOTICE, clear_after=NEVER
     ),
     Event.REALTIME_UNAVAILABLE: Policy("flying without real-time scheduling", Severity.NOTICE, clear_after=NEVER),
 }

@@ -25,6 +25,7 @@ from runtime.flight.motion import Motion
 from runtime.flight.phases import Handler
 from runtime.flight.setpoint_output import SetpointOutput
 from runtime.link.estimate import StateEstimate
+from runtime.running_mean import RunningMean
 
 LOSS_TIME = "COM_OF_LOSS_T"  # PX4's, s without a setpoint, after which its failsafe acts
 USUAL_LOSS_TIME = 1.0  # s
@@ -41,6 +42,8 @@ MAX_DRAG, DRAG_SPEED, DRAG_TIME = 3.0, 2.0, 0.02  # 1/s; m/s and s of the predic
 SAMPLES, MAX_SAMPLED = 150, 600.0  # of a motion that is to be flown, in its first s
 STILL = 1e-6  # rad/s
 MORE_RATE, MORE_THRUST = 0.3, 0.05  # rad/s and share of the weight, by which setpoints are more than their plan's
+# a loop that is throttled in nearly every tick swings or stands: a plan that passes is not all that a flight needs
+REPLACED_TIME, MAX_REPLACED, MAX_TICK = 1.0, 0.7, 0.1  # s of a running mean, share of ticks, s that one counts at most
 NOT_CHECKED = (Fallback.LEVEL_HOLD, Fallback.STOP_STREAMING)  # flown without an estimate
 
 
@@ -96,7 +99,8 @@ def failing_share(check: LastSetpointCheck, motion: Motion, duration: float, thr
 class LastSetpointGuard:
     """Replaces setpoints that must not be the last ones, in the phases in which the controller flies.
 
-    mode: auto: not in a flight that is planned with such setpoints, which an event says; replace: always; off: never.
+    mode: auto: not in a flight that is planned with such setpoints, nor on in one whose setpoints are replaced in most
+        ticks of a second, which an event says; replace: always; off: never.
     findings: events of the last setpoint.
     """
 
@@ -111,7 +115,8 @@ class LastSetpointGuard:
         """loss_time: the autopilot's COM_OF_LOSS_T, s."""
         self.findings: dict[Event, str] = {}
         self._mode, self._mission, self._thrust_constant = mode, mission, controller.trim.rotors.thrust_constant
-        self._exempt = False
+        self._exempt = self._given_up = False
+        self._replaced, self._counted = RunningMean(REPLACED_TIME, 0.0), inf
         self._check: LastSetpointCheck | None = None
         if mode != "off":
             model = last_setpoint_model(controller, nominal, loss_time)
@@ -119,6 +124,7 @@ class LastSetpointGuard:
 
     def begin(self) -> dict[Event, str]:
         """Look at the planned flight once control is taken. Returns the event where it has setpoints that fail."""
+        self._replaced, self._counted = RunningMean(REPLACED_TIME, 0.0), inf
         if self._check is None or self._mode != "auto":
             return {}
         self._check.model.ground = self._mission.ground
@@ -151,6 +157,11 @@ class LastSetpointGuard:
         estimate: the newest. time: s, now. output: knows the thrust that acts and that there is.
         """
         self.findings, policy = {}, self._mission.policy
+        if self._given_up:
+            self.findings[Event.LAST_SETPOINT_UNCHECKED] = (
+                "most were replaced for more than a second: it goes on without"
+            )
+            self._given_up = False
         if self._check is None or self._exempt or estimate is None or policy.handler is not Handler.FLY:
             return rate_body
         if decision.fallback in NOT_CHECKED:
@@ -158,11 +169,19 @@ class LastSetpointGuard:
         self._place(output)
         age = time - estimate.time + TRANSIT
         checked = self._check.check(estimate.state, age, output.last_thrust, rate_body, decision.collective_thrust)
+        self._count(checked.outcome is not Outcome.PASSES, time)
         if checked.outcome is Outcome.PASSES:
             return rate_body
         self.findings = self._describe(checked, rate_body, decision.collective_thrust)
         decision.collective_thrust = checked.collective_thrust
         return checked.rate_body
+
+    def _count(self, replaced: bool, time: float) -> None:
+        """In `auto`, leave a flight alone from the next tick on whose setpoints are replaced for so long."""
+        self._replaced.add(float(replaced), min(max(time - self._counted, 0.0), MAX_TICK))
+        self._counted = time
+        if self._mode == "auto" and self._replaced.value > MAX_REPLACED:
+            self._exempt, self._given_up = True, True
 
     def _describe(self, checked: CheckedSetpoint, rate_body: Floats, thrust: float) -> dict[Event, str]:
         if checked.outcome is Outcome.NONE_PASSES:

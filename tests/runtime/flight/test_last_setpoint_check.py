@@ -246,3 +246,17 @@ def test_a_disturbed_flight_is_replaced_though_its_plan_passes(arpl_250g: Vehicl
     flight.plant.state[3:6] = [6.0, 0.0, 0.5]  # as after a push
     flight.run(1.0)
     assert Event.LAST_SETPOINT_REPLACED in flight.story.raised
+
+
+def test_a_flight_that_is_held_back_for_long_goes_on_without_the_check(arpl_250g: Vehicle) -> None:
+    vehicle = with_box(arpl_250g, ((-6.0, -6.0, -1.0), (6.0, 6.0, 8.0)))
+    flight = flight_in(vehicle, "auto", 0.3, 6.0)
+    flight.run(30.0, until=Phase.TRACK)
+    model = flight.flyer.last_setpoint.planned(flight.flyer.output)
+    assert model is not None
+    model.low[:], model.high[:] = [-0.1, -0.1, 0.0], [0.1, 0.1, 2.0]  # in which next to nothing passes
+    flight.run(1.0)
+    assert Event.LAST_SETPOINT_UNCHECKED not in flight.story.raised
+    flight.run(3.0)
+    assert Event.LAST_SETPOINT_UNCHECKED in flight.story.raised
+    assert flight.flyer.last_setpoint.planned(flight.flyer.output) is None
