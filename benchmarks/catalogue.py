@@ -149,6 +149,9 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
         "clock": Measurement("benchmarks.link.daemon:clock", ("clock_filter",), ("runtime/link",), ("--seeds", "1")),
     },
     "kernel": {
+        "fixed_cost": Measurement(
+            "benchmarks.kernel.fixed_cost:fixed_cost", ("fixed_cost",), KERNEL, ("--rounds", "20")
+        ),
         "network": Measurement(
             "benchmarks.kernel.network:network",
             ("rti_network",),

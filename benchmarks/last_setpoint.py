@@ -8,7 +8,7 @@ first contact with the ground faster than 1.5 m/s or tilted by more than 32 degr
 mode; `auto` dies as `off` where it leaves the flight alone, and as `replace` where it checks it. Metres are those from
 the place of death to the farthest place until the failsafe has braked.
 
-    python -m benchmarks last_setpoint deaths [--flights 28] [--each 36]
+    python -m benchmarks last_setpoint deaths [--flights 30] [--each 36]
 """
 
 from __future__ import annotations
@@ -250,7 +250,7 @@ def fly(case: Mapping[str, Any]) -> dict[str, Any]:
 
 def deaths(words: Sequence[str]) -> Page:
     """The measurement's page."""
-    parser = options_of(__doc__, jobs=2, resumes="last_setpoint", flights=28, each=36)
+    parser = options_of(__doc__, jobs=2, resumes="last_setpoint", flights=30, each=36)
     chosen = parser.parse_args(words)
     cases = [
         {**drawn(number), "mode": mode, "deaths": 0 if mode == "auto" else chosen.each, "ticks": TICKS}
@@ -410,8 +410,8 @@ def draw(metres: Mapping[str, Sequence[float]], path: Path) -> None:
 def kills(words: Sequence[str]) -> Page:
     """True `kill -9` of `alula fly` in the air, beside the mock in this process, in real time.
 
-    A manoeuvre of the measurement in lockstep with its box, killed 1 to 14 s after it has left the ground. The last
-    setpoint that counts is what had arrived when the process was gone.
+    A manoeuvre of the measurement in lockstep with its box, killed 1 to 14 s after it has left the ground. Setpoints
+    after death are those that arrive later than the pass of the mock after the process has gone.
 
         python -m benchmarks last_setpoint kills [--kills 12]
     """
@@ -468,10 +468,13 @@ class Killing:
         self._after = float(np.random.default_rng((FIRST_SEED, seed, 9)).uniform(1.0, 14.0))
         self._box, self._flown_since = box, float("inf")
         self._fall: Fall | None = None
+        self._killed = False
 
     def __call__(self) -> bool:
         """Whether the flight has been watched to its end."""
         autopilot = self._autopilot
+        if self._killed and self._fall is None:
+            self._fall = Fall(autopilot, self._box)
         if self._fall is not None:
             self._fall.look()
             self.death = self._fall.result if self._fall.over else None
@@ -482,5 +485,5 @@ class Killing:
         if aloft and autopilot.time - self._flown_since > self._after:
             self._daemon.kill()
             self._daemon.wait()
-            self._fall = Fall(autopilot, self._box)
-        return self._daemon.poll() is not None and self._fall is None
+            self._killed = True  # what it had sent before arrives with the next pass
+        return self._daemon.poll() is not None and not self._killed

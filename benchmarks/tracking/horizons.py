@@ -1,6 +1,6 @@
 """Horizons and nodes of the nominal controller: tracking error by what the flight meets, and the time of a step.
 
-Four fast manoeuvres of the paper in lockstep, 12 s each, by motion capture. Met: nothing; the manoeuvre at 1.15 times
+Two fast manoeuvres of the paper in lockstep, 12 s each, by motion capture. Met: nothing; the manoeuvre at 1.15 times
 its speed, which saturates the rotors; a leap of the reference by 0.6 m; wind of 3 m/s on an unmodelled rotor drag; 25 %
 more mass; motors that lag by 40 ms. None of it is in the vehicle file.
 
@@ -28,7 +28,7 @@ from vehicles import FOLDER
 
 HORIZONS = ((0.5, 10), (0.7, 14), (1.0, 20), (0.7, 10), (1.0, 10))  # s, nodes
 DEFAULT = (1.0, 20)
-MANOEUVRES = ("WarpedEllipse_2", "Lemniscate", "ExtendedLemniscate", "TransposedParabola")
+MANOEUVRES = ("WarpedEllipse_2", "TransposedParabola")
 DURATION, LEAP, LEAP_TIME, FASTER = 12.0, 0.6, 6.0, 1.15  # s, m, s, factor
 MET: Mapping[str, tuple[EffectUse, ...]] = {
     "nothing": (),
