@@ -91,6 +91,14 @@ def load_own_library(path: Path) -> Library:
     return ctypes.CDLL(str(path))
 
 
+def with_lock(library: Library) -> ctypes.PyDLL:
+    """A loaded library whose functions keep the interpreter's lock: for those that take some microseconds.
+
+    One that gives the lock away waits for it afterwards, 0.5 ms and more while another thread computes.
+    """
+    return ctypes.PyDLL(library._name, handle=library._handle)
+
+
 def load_given_library(path: Path) -> Library:
     """A shared library that came in a bundle: the very bytes that are approved.
 

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.link.daemon import mock
+from benchmarks.link.soak import VEHICLE, give_processor
 from benchmarks.measurement import Page, options_of
 from dynamics.arrays import Floats
 from runtime.flight.phases import PHASES, Handler, Phase
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import ObservationRecord, TickRecord
 from runtime.urgent_tick import SWITCH
+from simulation.mock_process import mock_process
 
 LOOPS = 8  # busy programs
 RATES = (100, 200, 500)  # Hz
@@ -53,9 +54,10 @@ def fly(rate: int, seconds: float, *, situation: str, python: bool) -> FlightRec
     """The recording of a hover of `alula fly` against the mock. python: whether every tick is Python's."""
     loops = LOOPS if situation == SITUATIONS[1] else 0
     program = ["-c", BUSY_SUPERVISOR] if situation == SITUATIONS[2] else ["-m", "alula"]
-    with mock() as port, busy_loops(loops), tempfile.TemporaryDirectory() as folder:
-        options = ["--vehicle", "arpl_250g", "--reference", "hover", "--duration", str(seconds), "--rate", str(rate)]
-        options += ["--link", f"udpin:127.0.0.1:{port}", "--record", folder, "--json"]
+    with mock_process(vehicle=VEHICLE) as mock, busy_loops(loops), tempfile.TemporaryDirectory() as folder:
+        give_processor(mock.process.pid)
+        options = ["--vehicle", VEHICLE, "--reference", "hover", "--duration", str(seconds), "--rate", str(rate)]
+        options += ["--link", mock.url, "--record", folder, "--json"]
         subprocess.run(
             [sys.executable, *program, "fly", *options],
             env=os.environ | ({SWITCH: "python"} if python else {}),
@@ -116,7 +118,8 @@ def tick(words: Sequence[str]) -> Page:
         "Arrival is when the kernel handed over the datagram with the estimate, departure when the setpoint was sent; "
         "late is more than half a period. The busy loops are programs of the usual priority; the busy supervisor is a "
         "thread of `alula fly` itself that computes without a pause and keeps the interpreter's lock as long as it "
-        "may. Link and control thread run under SCHED_FIFO where the system permits it. Mock and daemon share "
+        "may. Link, control thread and, below them, the mock run under "
+        "SCHED_FIFO where the system permits it. Mock and daemon share "
         f"{os.cpu_count()} cores, load average over the last 15 min {os.getloadavg()[2]:.1f}.\n\n"
     )
     return Page("tick", "The tick in C", text + "\n".join(lines))

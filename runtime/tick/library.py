@@ -11,7 +11,7 @@ from typing import Any
 
 from dynamics.codegen import build_library, has_compiler
 from dynamics.errors import RequestError
-from dynamics.trust import load_own_library
+from dynamics.trust import load_own_library, with_lock
 from runtime.control.rti.state_header import STATE_HEADER, state_header
 from runtime.tick.structs import reasons_of, structs_of
 
@@ -55,7 +55,7 @@ class TickLibrary:
         self.structs = structs_of(sources[HEADER], sources[ENTRY])
         self.reasons = reasons_of(sources[HEADER])
         self.waiting = load_own_library(path)
-        self.short = ctypes.PyDLL(str(path), handle=self.waiting._handle)
+        self.short = with_lock(self.waiting)
         sizes = (ctypes.c_int32 * len(self.structs))()
         self.short.alula_sizes(sizes)
         if list(sizes) != [ctypes.sizeof(kind) for kind in self.structs.values()]:
@@ -76,7 +76,7 @@ def _declare(library: Any) -> None:
     library.receiver_next.argtypes, library.receiver_next.restype = (pointer, number), pointer
     library.receiver_know.argtypes = (pointer, pointer)
     library.receiver_sequence.restype = ctypes.c_uint32
-    for name in ("stop", "free", "waiting", "read", "arm", "claim", "disarm", "sequence"):
+    for name in ("stop", "free", "waiting", "read", "arm", "claim", "try_claim", "disarm", "sequence"):
         getattr(library, f"receiver_{name}").argtypes = (pointer,)
 
 

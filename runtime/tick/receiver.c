@@ -202,6 +202,13 @@ void receiver_disarm(receiver *r) {
     atomic_compare_exchange_strong(&r->stage, &armed, REFUSED);
 }
 
+/* Disarm. Returns whether a setpoint has left, as receiver_claim, or -1 while a tick runs. */
+int receiver_try_claim(receiver *r) {
+    receiver_disarm(r);
+    if (atomic_load(&r->stage) == TICKING) return -1;
+    return atomic_exchange(&r->stage, IDLE) == SENT;
+}
+
 /* Disarm, and wait for a tick that runs. Returns whether a setpoint has left, whose result then is valid until the next
  * tick is armed. */
 int receiver_claim(receiver *r) {

@@ -79,7 +79,8 @@ class Receiver:
 
     def claim(self) -> bool:
         """Disarm, and whether a setpoint has left since the tick was armed; the result holds it."""
-        return bool(self._library.waiting.receiver_claim(self._handle))
+        sent = self._short.receiver_try_claim(self._handle)
+        return bool(self._library.waiting.receiver_claim(self._handle) if sent < 0 else sent)
 
     def __next__(self) -> int:
         """The next sequence number of frames under our ids."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
+from dynamics.trust import with_lock
 from dynamics.vehicle import GRAVITY
 from runtime.control.kernel_model import FlownModel, trim_of
 from runtime.control.rti.last_setpoint import LastSetpointCheck, LastSetpointModel
@@ -119,7 +120,9 @@ class RtiSolver:
     def __init__(self, model: FlownModel, problem: Problem, library: Path | None = None) -> None:
         """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
-        self._code = load_kernel(library or solver_library(model, problem), own=library is None)
+        kernel = load_kernel(library or solver_library(model, problem), own=library is None)
+        # only what takes long gives the interpreter's lock away
+        self._code, self._long = with_lock(kernel), kernel
         self.trim = trim_of(model)
         options = fill_options(problem, model, self.trim)
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
@@ -351,7 +354,7 @@ class RtiSolver:
         Returns 0, or a negative number when one is not finite; `feedback` then refuses.
         """
         self._state[:] = expected
-        return int(self._code.rti_prepare(self._handle, self._state_at, *self._references_at))
+        return int(self._long.rti_prepare(self._handle, self._state_at, *self._references_at))
 
     def assess(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> None:
         """Assess how certain the network is of the window that ends with a state (nx,) and rotor speeds (nu,), rad/s.
@@ -375,7 +378,7 @@ class RtiSolver:
         """
         rows, accelerations = np.ascontiguousarray(columns, dtype=float), np.empty((len(columns), 6))
         address = ctypes.c_void_p
-        self._code.rti_stream(self._handle, address(rows.ctypes.data), len(rows), address(accelerations.ctypes.data))
+        self._long.rti_stream(self._handle, address(rows.ctypes.data), len(rows), address(accelerations.ctypes.data))
         return accelerations
 
     def feedback(self, state: NDArray[np.float64]) -> int:
@@ -384,7 +387,7 @@ class RtiSolver:
         With 1, out of iterations, the trajectory takes the last iterate; with any other it stays the previous solution.
         """
         self._state[:] = state
-        return int(self._code.rti_feedback(self._handle, self._state_at))
+        return int(self._long.rti_feedback(self._handle, self._state_at))
 
     def last_setpoint_check(self, model: LastSetpointModel) -> LastSetpointCheck:
         """The check of setpoints that may be the last ones, which the kernel has. model: of vehicle and autopilot."""
@@ -397,7 +400,7 @@ class RtiSolver:
         code.rti_propagate.argtypes = (pointer, pointer, pointer, ctypes.c_double, pointer)
         if hasattr(code, "rti_accelerations"):
             code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
-            code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
+            self._long.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
             code.rti_assess.argtypes, code.rti_trust.argtypes = (pointer, pointer, pointer), (pointer,)
         code.rti_filter_options.restype = ctypes.POINTER(FilterOptions)
         code.rti_filter_options.argtypes = code.rti_filter_clear.argtypes = (pointer,)
@@ -420,8 +423,8 @@ class RtiSolver:
             code.rti_add_thrust.argtypes = (pointer, ctypes.c_double, pointer, ctypes.c_double)
             code.rti_follow_between.argtypes = (pointer, pointer, ctypes.c_double, ctypes.c_double, pointer)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
-        code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
-        code.rti_feedback.argtypes = (pointer, pointer)
+        self._long.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
+        self._long.rti_feedback.argtypes = (pointer, pointer)
         code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
 
     def _require_dimensions(self, library: Path, options_bytes: int) -> int:
