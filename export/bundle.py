@@ -35,6 +35,7 @@ from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function, weighted_function
+from export.tick_files import FOLDER, tick_files
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
 from runtime.control.bundle import (
@@ -130,7 +131,9 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     if PHYSICS in proven:
         solvers[PHYSICS] = RtiSolver(build_model(model.vehicle), options.problem, build_kernel(proven[PHYSICS]))
     with _appearing(folder) as part:
-        _write_files(part, model, proto, {**texts, **_kernel_texts(flown[KERNEL])}, parity)
+        _write_files(
+            part, model, proto, {**texts, **_kernel_texts(flown[KERNEL]), **_tick_texts(model, here, proven)}, parity
+        )
         (part / TICKS).write_bytes(record_ticks(solvers))
         if model.moment is not None and model.network is not None:
             (part / LAST_LAYER).write_bytes(last_layer_file(model.moment, body=model.network.outputs == "body"))
@@ -256,8 +259,16 @@ def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
     return {f"{SOURCES}/{name}": text for name, text in texts.items()}
 
 
+def _tick_texts(model: ExportedModel, options: ExportOptions, kernels: Mapping[str, KernelRecipe]) -> dict[str, str]:
+    """The tick in C for the solver without a network: beside one, of the vehicle file's model."""
+    name, flown = (KERNEL, model.flight_model) if model.network is None else (PHYSICS, build_model(model.vehicle))
+    texts = tick_files(flown, options.problem, build_kernel(kernels[name]), name)
+    return {f"{FOLDER}/{file}": text for file, text in texts.items()}
+
+
 def _write_files(part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], parity: Parity) -> None:
     (part / SOURCES).mkdir()
+    (part / FOLDER).mkdir()
     for name, text in {**texts, **_vehicle_texts(model)}.items():
         (part / name).write_bytes(text.encode())
     (part / ONNX).write_bytes(proto)

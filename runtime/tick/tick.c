@@ -299,6 +299,26 @@ static void take_estimate(const alula_context *context, alula_link *link, const 
         link->heard[frame[length - SIGNATURE]] = timestamp_of(frame, length);
 }
 
+int alula_begin(alula_context *context, const uint8_t *datagram, int size, double received,
+                alula_result *result) {
+    alula_link *link = &context->link;
+    const uint8_t *frame;
+    int length, reason;
+    odometry read;
+    if ((reason = find_estimate(context, datagram, size, &frame, &length))) return reason;
+    if (link->is_signed && !is_authentic(link, frame, length)) return ALULA_SIGNATURE;
+    read_odometry(frame, &read);
+    if (!state_of(&context->limits, &read, result->state)) return ALULA_AXES;
+    if ((reason = check_numbers(&context->limits, result->state, result->state))) return reason;
+    result->stamp = (double)read.microseconds * 1e-6, result->received = result->time = received;
+    memcpy(result->corrected, result->state, sizeof result->corrected);
+    link->clock_updated = received, link->clock_offset = result->stamp - received, link->clock_drift = 0;
+    link->clock_valid_until = INFINITY;
+    link->has_latest = 1, link->latest_reset = result->reset_counter = read.reset_counter;
+    take_estimate(context, link, datagram, size, result);
+    return ALULA_SENT;
+}
+
 int alula_answer(alula_context *context, double now, alula_result *result) {
     const double busy = busy_now();
     const alula_plan *plan = &context->plan;

@@ -211,6 +211,10 @@ int alula_tick(alula_context *context, const uint8_t *datagram, int size, double
  * and reset counter. */
 int alula_answer(alula_context *context, double now, alula_result *result);
 
+/* Take a datagram's estimate as the first one, which there is nothing to compare with, and the vehicle's clock as it is by
+ * this one stamp: for a node that exchanges no TIMESYNC. */
+int alula_begin(alula_context *context, const uint8_t *datagram, int size, double received, alula_result *result);
+
 /* The estimate of a datagram alone, with its checks: the first half of alula_tick. */
 int alula_read(const alula_context *context, const uint8_t *datagram, int size, double received, alula_result *result);
 
