@@ -8,6 +8,7 @@
 #include <errno.h>
 #include <netinet/in.h>
 #include <pthread.h>
+#include <sched.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 
@@ -82,8 +83,18 @@ static bool answer(receiver *r, alula_datagram *datagram, double now) {
     return reason == ALULA_SENT;
 }
 
+/* One priority above the thread that started this one: Python's threads of that priority would run on until they wait. */
+static void rise(void) {
+    struct sched_param scheduling;
+    int policy;
+    if (pthread_getschedparam(pthread_self(), &policy, &scheduling) || policy != SCHED_FIFO) return;
+    scheduling.sched_priority++;
+    pthread_setschedparam(pthread_self(), policy, &scheduling); /* where that is refused it stays as it is */
+}
+
 static void *receive(void *argument) {
     receiver *r = argument;
+    rise();
     while (!atomic_load(&r->stopping)) {
         alula_datagram *next = &r->slots[r->tail % SLOTS];
         pthread_mutex_lock(&r->lock);
