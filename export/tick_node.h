@@ -53,8 +53,10 @@ static void alula_open(alula_node *node, int system, int component) {
     memset(node, 0, sizeof *node);
     memcpy(rti_parameters(solver), alula_parameters, sizeof alula_parameters);
     memcpy(rti_environment(solver), alula_environment, sizeof alula_environment);
-    const alula_solver made = {solver, rti_propagate, rti_feedback, rti_states(solver), rti_inputs(solver), ALULA_NX, ALULA_NU};
-    context->solver = made;
+    alula_solver *made = &context->solver;
+    made->handle = solver, made->propagate = rti_propagate, made->feedback = rti_feedback;
+    made->states = rti_states(solver), made->inputs = rti_inputs(solver);
+    made->state_count = ALULA_NX, made->rotor_count = ALULA_NU;
     context->vehicle = alula_own_vehicle, context->limits = alula_own_limits, context->messages = alula_own_messages;
     context->link.system = context->link.own_system = system, context->link.component = component;
     context->link.own_component = 191, context->link.socket = -1; /* an on-board computer */

@@ -36,7 +36,8 @@ int main(int count, char **words) {
     randomness = strtoull(words[1], 0, 10) * 2654435769u + 1;
     pull(&context.messages, sizeof context.messages), pull(&context.limits, sizeof context.limits);
     for (int i = 0; i < 2; i++) pull(&sizes[i], sizeof *sizes), pull(seeds[i], (size_t)sizes[i]);
-    context.solver = (alula_solver){0, hold, solved, &states[0][0], inputs, ALULA_STATE, 4};
+    context.solver = (alula_solver){.propagate = hold, .feedback = solved, .states = &states[0][0], .inputs = inputs,
+                                  .state_count = ALULA_STATE, .rotor_count = 4};
     context.vehicle.thrust_max = context.vehicle.thrust_limit = 9, context.vehicle.node = context.vehicle.max_step = 0.05;
     context.plan.command_times = times, context.plan.command_inputs = &commands[0][0], context.plan.hidden_states = hidden;
     context.plan.commands = 70, context.plan.history = 64, context.plan.effectiveness = 1;
