@@ -22,7 +22,7 @@ from typing import Any, get_args
 import msgspec
 
 from benchmarks.measurement import Page, add_names, measured, options_of, paragraph_of
-from fixtures.fault_flights import BUNDLES, VEHICLE, Model, fly_case, read_cases
+from fixtures.fault_flights import BUNDLES, VEHICLE, FaultCase, Model, fly_case, read_cases
 
 FIRST_SEED = 71_000
 ALL_MODELS: tuple[Model, ...] = get_args(Model)
@@ -55,6 +55,32 @@ def export_network(folder: Path) -> None:
 
 def _run(*words: str) -> None:
     subprocess.run([sys.executable, "-m", "alula", *words], check=True)
+
+
+def planned_flights(models: Sequence[Model], seeds: int) -> list[Flight]:
+    """Every case by each of the models that fly it and by each seed.
+
+    The first flights are every case by the first model, the next ones every case by another one: a run that is
+    stopped has flown them all as evenly as it can.
+    """
+    cases = read_cases()
+    courses = [_course(case, models, offset) for offset, case in enumerate(cases)]
+    longest = max(map(len, courses))
+    return [
+        (case.name, course[turn], FIRST_SEED + seed)
+        for seed in range(seeds)
+        for turn in range(longest)
+        for case, course in zip(cases, courses, strict=True)
+        if turn < len(course)
+    ]
+
+
+def _course(case: FaultCase, models: Sequence[Model], offset: int) -> list[Model]:
+    """The models of a case in the order in which they fly it. offset: by which all but the first are turned."""
+    flying = [model for model in models if model in case.models]
+    first, others = flying[:1], flying[1:]
+    turned = offset % max(len(others), 1)
+    return [*first, *others[turned:], *others[:turned]]
 
 
 def key_of(flight: Flight) -> str:
@@ -115,13 +141,7 @@ def study(words: Sequence[str]) -> Page:
     options = parser.parse_args(words)
     for model in set(options.models) & set(BUNDLES):
         export_network(BUNDLES[model])
-    flights: list[Flight] = [
-        (case.name, model, FIRST_SEED + seed)
-        for seed in range(options.seeds)
-        for model in options.models
-        for case in read_cases()
-        if model in case.models
-    ]
+    flights = planned_flights(options.models, options.seeds)
     results = measured(flown, flights, options, line_of, key_of=key_of)
     planned = f"{len(results)} of {len(flights)} planned flights are flown."
     return Page("faults", "Planned faults in flight", f"{paragraph_of(__doc__)}\n\n{planned}\n\n{table(results)}")

@@ -109,7 +109,7 @@ class Engagement:
         self.state = State.DISCONNECTED
         self.refusal = ""
         self._settings = settings
-        self._requested = False
+        self._requested = self._arming = False
         self._initially_armed: bool | None = None
         self._entered = 0.0
         self._awaiting_since: float | None = None
@@ -169,6 +169,8 @@ class Engagement:
             return ()
         after, reason = step
         refused = self.state is State.STREAMING and after is State.STANDBY and bool(facts.refusal)
+        # what was to be armed is armed again by another request alone: somebody may stand beside it
+        refused = refused and not self._arming
         return (self._enter(after, reason, time, keep_request=refused),)
 
     def _enter(self, after: State, reason: str, time: float, *, keep_request: bool = False) -> Transition:
@@ -179,7 +181,7 @@ class Engagement:
             self._requested = self._requested and keep_request
             self.refusal = reason
         if after is State.STREAMING:
-            self.refusal = ""
+            self.refusal, self._arming = "", False
         self.state = after
         self._entered = time
         self._awaiting_since = None
@@ -236,6 +238,7 @@ class Engagement:
             if not facts.offboard:
                 self._requests = (AutopilotRequest.OFFBOARD,)
             else:
+                self._arming = True
                 self._requests = (AutopilotRequest.ARM,)
         return None
 

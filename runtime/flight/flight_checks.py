@@ -61,7 +61,8 @@ class FlightChecks:
         present |= self._measured.frozen() | self._measured.heading.findings()
         for adaptation in self._controllers.adaptations:
             present |= rotor_findings(adaptation, motors)
-        if not self._engagement.flying and not self._engagement.initially_armed:
+        left_in_flight = self._mission.airborne and observation.armed
+        if not (self._engagement.flying or self._engagement.initially_armed or left_in_flight):
             present |= pose.findings()
         if not self._engagement.flying:
             return present

@@ -64,7 +64,7 @@ class Mission:
         self.landing_reason = ""
         self.origin = np.zeros(3)
         self._vehicle = vehicle
-        self._reference = reference
+        self._reference = self._planned = reference
         self._plan = plan
         self._motion: Motion | None = None
         self._started = 0.0
@@ -97,13 +97,19 @@ class Mission:
 
     def ramp(self, state: Floats, time: float) -> None:
         """Start the take-off. state: (13,), standing on the ground."""
+        self._begin()
         self._home = self._takeoff_frame_pose(state)
         self._ground = float(self._home[2])
         if self._plan.origin == "takeoff":
             self.origin = self._home[POSITION].copy()
-            self._reference = Moved(self._reference, self.origin)
+            self._reference = Moved(self._planned, self.origin)
         self._home[2] += self._plan.height
         self._move(Trigger.TAKE_OFF, state, time)
+
+    def _begin(self) -> None:
+        """Forget an earlier flight: how it ended, and where its reference was."""
+        self.landing_reason, self._tracked = "", False
+        self._reference, self.origin, self._ground = self._planned, np.zeros(3), None
 
     def climb(self, state: Floats, time: float) -> None:
         """Climb to the take-off height above the place of take-off, once the vehicle has lifted off."""
@@ -111,6 +117,7 @@ class Mission:
 
     def take_over(self, state: Floats, time: float) -> None:
         """Start in the air: brake, then fly on. state: (13,)."""
+        self._begin()
         self._home = self._takeoff_frame_pose(state)
         self._move(Trigger.TAKE_OVER, state, time)
 

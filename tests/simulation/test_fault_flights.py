@@ -7,8 +7,24 @@ import pytest
 from fixtures.fault_flights import fly_case, read_cases
 
 CASES = {case.name: case for case in read_cases()}
-FLOWN = ("nothing", "estimate_moves_1e30", "stamps_3s_ahead", "estimator_reset_yaw", "stall_2s")
-NIGHTLY = ("estimate_reset_1e30", "stamps_3s_ahead_short", "reboot_armed")
+FLOWN = (
+    "nothing",
+    "estimate_moves_1e30",
+    "stamps_3s_ahead",
+    "estimator_reset_yaw",
+    "stall_2s",
+    "tipped_over_on_ground",
+    "reboot_armed",
+)
+NIGHTLY = (
+    "estimate_reset_1e30",
+    "stamps_3s_ahead_short",
+    "estimate_drifts_landing",
+    "estimate_turned_from_the_start",
+    "disk_full",
+    "knock_over",
+    "reference_leaps_60cm",
+)
 
 
 def test_every_case_can_be_read() -> None:

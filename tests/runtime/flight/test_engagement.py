@@ -274,3 +274,20 @@ def test_a_mode_that_changed_while_this_computer_stood_still_is_not_put_down_to_
     assert machine.state is State.ENGAGED
     (transition,) = machine.update(replace(FLYING, offboard=False, mode="RTL", standstill=2.0), 6.0)
     assert transition.reason == "mode changed to RTL after this computer stood still for 2.0 s"
+
+
+def test_what_was_to_be_armed_is_armed_again_by_another_request_alone() -> None:
+    """As after a reboot of the autopilot that has just armed: somebody may walk up to it."""
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 2.0)
+    requests: list[AutopilotRequest] = []
+    run(machine, OFFBOARD, 2.0, 2.5)
+    machine.update(replace(OFFBOARD, refusal="no fresh estimate"), 2.6)
+    assert machine.state is State.STANDBY
+    assert not machine.requested
+    for tick in range(1000):
+        machine.update(GROUND, 3.0 + 0.01 * tick)
+        requests += machine.requests
+    assert not requests

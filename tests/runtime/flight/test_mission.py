@@ -150,3 +150,21 @@ def test_airborne_phases_have_a_window_and_the_others_say_so(vehicle: Vehicle) -
     assert not mission.airborne
     with pytest.raises(ValueError, match="ground has no reference"):
         mission.window(np.zeros(1), quaternion.IDENTITY)
+
+
+def test_a_second_flight_flies_the_same_reference_and_can_be_cut_short_again(vehicle: Vehicle) -> None:
+    mission = airborne(vehicle, Plan(origin="takeoff"))
+    here = state_at((1.0, 1.0, 1.0))
+    mission.land("the battery is low", here, 5.0)
+    assert mission.landing_reason
+    mission.ramp(state_at((0.5, -0.5, 0.1)), 50.0)
+    mission.climb(state_at((0.5, -0.5, 0.15)), 51.0)
+    assert not mission.landing_reason
+    np.testing.assert_allclose(mission.origin, [0.5, -0.5, 0.1])
+    phases, states, _ = fly(mission, state_at((0.5, -0.5, 0.15)), 51.0, 60.0)
+    assert phases[:3] == [Phase.CLIMB, Phase.APPROACH, Phase.TRACK]
+    assert np.max(states[:, 0]) == pytest.approx(2.5, abs=0.05)
+    mission.ramp(state_at((0.5, -0.5, 0.1)), 150.0)
+    mission.climb(state_at((0.5, -0.5, 0.15)), 151.0)
+    mission.land("the battery is low", here, 155.0)
+    assert mission.phase is Phase.BRAKE
