@@ -117,6 +117,9 @@ class FlightChecks:
             return
         thrust = effectiveness.thrust(time) / self._mass
         missing = thrust * (effectiveness.initial / effectiveness.value - 1)
+        if (adaptation := self._controllers.adaptation) is not None:
+            # the effectiveness was fitted beside the drag that the model follows: both make the modelled force
+            thrust += adaptation.specific_drag(estimate.state)
         self.pending |= self.ground.measure(
             self._mission, estimate, reference, self._measured.force, thrust, time, missing_thrust=missing
         )

@@ -35,3 +35,11 @@ def test_every_case_can_be_read() -> None:
 def test_a_fault_ends_as_its_case_expects(name: str) -> None:
     flight = fly_case(CASES[name], "nominal", seed=7)
     assert not flight.unexplained, flight
+
+
+@pytest.mark.parametrize("seed", [71_000, pytest.param(71_001, marks=pytest.mark.slow)])
+def test_a_force_that_the_model_follows_is_no_ground_in_the_descent(seed: int) -> None:
+    """A model that follows has learned a vertical wind, beside which the thrust seemed too weak."""
+    flight = fly_case(CASES["duplication"], "adapting", seed)
+    assert not flight.unexplained, flight
+    assert "contact_lost" not in flight.events
