@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -22,6 +23,7 @@ from typing import Any, get_args
 import msgspec
 
 from benchmarks.measurement import Page, add_names, measured, options_of, paragraph_of
+from benchmarks.provenance import commit
 from fixtures.fault_flights import BUNDLES, VEHICLE, FaultCase, Model, fly_case, read_cases
 
 FIRST_SEED = 71_000
@@ -94,7 +96,8 @@ def flown(flight: Flight) -> dict[str, Any]:
     began = perf_counter()
     (case,) = read_cases([name])
     result = fly_case(case, model, seed)
-    return {"key": key_of(flight), "seconds": perf_counter() - began, **msgspec.to_builtins(result)}
+    seconds = perf_counter() - began
+    return {"key": key_of(flight), "seconds": seconds, "commit": commit(), **msgspec.to_builtins(result)}
 
 
 def line_of(result: Mapping[str, Any]) -> str:
@@ -143,5 +146,7 @@ def study(words: Sequence[str]) -> Page:
         export_network(BUNDLES[model])
     flights = planned_flights(options.models, options.seeds)
     results = measured(flown, flights, options, line_of, key_of=key_of)
-    planned = f"{len(results)} of {len(flights)} planned flights are flown."
+    commits = Counter(result["commit"].removeprefix("commit ") for result in results)
+    by_commit = ", ".join(f"{count} at {name}" for name, count in commits.items())
+    planned = f"{len(results)} of {len(flights)} planned flights are flown: {by_commit}."
     return Page("faults", "Planned faults in flight", f"{paragraph_of(__doc__)}\n\n{planned}\n\n{table(results)}")
