@@ -22,7 +22,7 @@ from typing import Any, get_args
 
 import msgspec
 
-from benchmarks.measurement import Page, add_names, measured, options_of, paragraph_of
+from benchmarks.measurement import Page, add_names, finished, measured, options_of, paragraph_of
 from benchmarks.provenance import commit
 from fixtures.fault_flights import BUNDLES, VEHICLE, FaultCase, Model, fly_case, read_cases
 
@@ -141,11 +141,16 @@ def study(words: Sequence[str]) -> Page:
     """Fly the cases and write the tables."""
     parser = options_of(__doc__, jobs=1, resumes="faults", seeds=5)
     add_names(parser, "--models", ALL_MODELS)
+    parser.add_argument("--flown", action="store_true", help="write the page of the flights that are flown, fly none")
     options = parser.parse_args(words)
-    for model in set(options.models) & set(BUNDLES):
-        export_network(BUNDLES[model])
     flights = planned_flights(options.models, options.seeds)
-    results = measured(flown, flights, options, line_of, key_of=key_of)
+    if options.flown:
+        done = finished(options.kept)
+        results = [done[key] for key in map(key_of, flights) if key in done]
+    else:
+        for model in set(options.models) & set(BUNDLES):
+            export_network(BUNDLES[model])
+        results = measured(flown, flights, options, line_of, key_of=key_of)
     commits = Counter(result["commit"].removeprefix("commit ") for result in results)
     by_commit = ", ".join(f"{count} at {name}" for name, count in commits.items())
     planned = f"{len(results)} of {len(flights)} planned flights are flown: {by_commit}."
