@@ -115,7 +115,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
     lines = [
         f"{len(results)} flights of {flown_cases} of {len(read_cases())} cases: **{len(unexplained)}** ends "
         f"that are not as expected, **{violations}** flights with a setpoint that is not finite, outside its limits or "
-        f"after the end. A flight took {seconds:.0f} s of one processor on average.",
+        f"after the end. A flight took {seconds:.0f} s by the clock on average.",
         "",
         f"| case | fault | {' | '.join(models)} |",
         f"| --- | --- |{' --- |' * len(models)}",
