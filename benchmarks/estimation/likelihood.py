@@ -56,6 +56,7 @@ def answer_of(problem: Problem, result: Identified) -> Answer:
         gain = result.best.evidence - rest.evidence
         if gain < NAMED or size < candidate.effect.min_detectable:
             continue
+        rivals = {problem.what.all[i].effect.name for i in result.search.rivals(result.best, number, NAMED)}
         parameters = {
             name: {"value": value, "std": float(std)}
             for (name, value), std in zip(values[number].items(), deviations, strict=True)
@@ -66,10 +67,11 @@ def answer_of(problem: Problem, result: Identified) -> Answer:
                 "rotor": candidate.rotor,
                 "parameters": parameters,
                 "confidence": float(1 / (1 + np.exp(-gain))),
-                "ambiguous_with": [],
+                "ambiguous_with": sorted(rivals - {candidate.effect.name}),
             }
         )
-    return Answer({"verdict": "effect" if effects else "explained", "effects": effects})
+    word = "ambiguous" if any(effect["ambiguous_with"] for effect in effects) else "effect"
+    return Answer({"verdict": word if effects else "explained", "effects": effects})
 
 
 def answer_to(posed: Posed) -> Answer:

@@ -16,7 +16,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.likelihood import priors
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.gain import KINDS
-from diagnosis.likelihood.rigid_body import OUTPUTS, SPEEDS, Along, FlightModel
+from diagnosis.likelihood.rigid_body import OUTPUTS, SPEEDS, Along, FlightModel, before_reading
 from diagnosis.models.command_effects import COMMAND_EFFECTS
 from diagnosis.selection.candidates import Candidate, make_candidates
 from dynamics.arrays import Floats
@@ -125,7 +125,7 @@ def inputs(
     count = along.speed.shape[1]
     acting, readings = np.zeros((K, N, 6)), np.zeros((K, N, 12 + count))  # of KINDS
     chosen = list(range(len(what.all)) if only is None else only)
-    by_rotor = along.by_rotor
+    by_rotor, lag = along.by_rotor, FlightModel(vehicle, uses, catalogue).lag
 
     def of_rotors(column: int, speeds: Floats) -> None:
         moved = np.einsum("tar,tr->ta", by_rotor, speeds)
@@ -156,10 +156,10 @@ def inputs(
             continue
         column = what.places(i)[0]
         if candidate.free or i in fitted:
-            of_rotors(column, along.slope_in_lag if along.slope_in_lag is not None else np.zeros_like(along.speed))
+            of_rotors(column, np.zeros_like(along.speed) if lag is None else rows.slope_in_lag(lag))
         else:
-            lagged, _ = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
-            of_rotors(column, lagged - rows.rotor_speed(None)[0])
+            lagged = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
+            of_rotors(column, lagged - rows.rotor_speed(None))
     for column, nuisance in enumerate(what.nuisances, len(what.columns)):
         kind, place = nuisance.kind, nuisance.place
         if kind == "gyro":
@@ -190,8 +190,9 @@ def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floa
     B[:, 0:3], B[:, 3:6], B[:, 6:9] = dt * force, dt**2 / 2 * turning, dt * turning
     D = readings.transpose(1, 2, 0).copy()
     D[:, 0:3] += dt / 2 * force
-    D[:, 3:6] += dt**2 / 6 * turning
-    D[:, 6:9] += dt / 2 * turning
+    early = turning if "rotor_speed" in rows.readings else before_reading(turning)
+    D[:, 3:6] += dt**2 / 6 * early
+    D[:, 6:9] += dt / 2 * early
     used = [3 * i + axis for i, kind in enumerate(KINDS[:4]) if kind in rows.readings for axis in range(3)]
     used += [*range(12, D.shape[1])] if "rotor_speed" in rows.readings else []
     return B, np.ascontiguousarray(D[:, used]) if len(used) < D.shape[1] else np.ascontiguousarray(D)

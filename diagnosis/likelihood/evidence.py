@@ -2,6 +2,11 @@
 
 log p(set | data) = log p(none | data) + g' (M + P)^-1 g / 2 - log det(1 + M / P) / 2 + log p(set), with the
 information M and score g of its columns and the precision P of the catalogue's priors; nuisances are marginalised.
+
+Every model is wrong by a little, which any number of seconds makes certain. M and g of a set's evidence are therefore
+those of `trusted` seconds: a coarsened posterior, which holds for data that are near to the model's, and not its own
+(Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association 114, 2019).
+Values and their deviations are those of all.
 """
 
 from __future__ import annotations
@@ -163,6 +168,8 @@ class Search:
     def __init__(self, problem: Problem, total: Sums) -> None:
         self.problem, self.what, self.total = problem, problem.what, total
         self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
+        seconds = sum(len(rows) * rows.period for rows in problem.flights)
+        self.share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.columns = [self.what.places(i) for i in range(len(self.what.all))]
         names = [c.effect.name for c in self.what.all]  # those of commands are none of the search's
         effects = len(set(names))
@@ -197,16 +204,16 @@ class Search:
         M = self.total.M[np.ix_(c, c)] * std * std[:, None]
         g = self.total.g[c] * std
         try:
-            cholesky = np.linalg.cholesky(M + np.eye(len(c)))
+            covariance = np.linalg.inv(M + np.eye(len(c)))
+            cholesky = np.linalg.cholesky(self.share * M + np.eye(len(c)))
         except np.linalg.LinAlgError:
             return nothing
-        half = np.linalg.solve(cholesky, g)
-        inverse = np.linalg.inv(cholesky)
-        values = inverse.T @ half * std
+        values = covariance @ g * std
+        half = np.linalg.solve(cholesky, self.share * g)
         evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
         if not self._possible(members, values):
             return nothing
-        return Scored(members, float(evidence), values, inverse.T @ inverse * std * std[:, None])
+        return Scored(members, float(evidence), values, covariance * std * std[:, None])
 
     def _possible(self, members: tuple[int, ...], values: Floats) -> bool:
         first = 0
@@ -244,6 +251,13 @@ class Search:
                 if near.evidence <= here.evidence + required:
                     return here
             here = near
+
+    def rivals(self, scored: Scored, member: int, within: float) -> list[int]:
+        """Candidates that, for a member, make a set whose log-evidence is less by no more than `within`."""
+        rest = [i for i in scored.members if i != member]
+        taken = {self.what.all[i].identity for i in scored.members}
+        others = [i for i in self.able if self.what.all[i].identity not in taken]
+        return [i for i in others if self.score([*rest, i]).evidence >= scored.evidence - within]
 
     def _near(self, here: Scored) -> list[Scored]:
         members = here.members

@@ -51,22 +51,24 @@ class FlightRows:
     force: Floats
     position: Floats
     environment: Floats
-    _speeds: dict[float | None, tuple[Floats, Floats | None]] = field(default_factory=dict)
+    _speeds: dict[float | None, Floats] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.velocity)
 
-    def rotor_speed(self, lag: float | None) -> tuple[Floats, Floats | None]:
-        """(N, rotors) rad/s behind a lag, s, and their slope in it; speeds whose squares have the rows' mean."""
+    def rotor_speed(self, lag: float | None) -> Floats:
+        """(N, rotors) rad/s behind a lag, s: their squares have the rows' mean."""
         if lag not in self._speeds:
             if len(self._speeds) >= MAX_SAVED:
                 self._speeds.clear()
-            if lag is None:
-                self._speeds[lag] = self._merged_speeds(self._centred()), None
-            else:
-                low, high = (self._merged_speeds(self._lagged(lag * (1 + step))) for step in (-LAG_STEP, LAG_STEP))
-                self._speeds[lag] = self._merged_speeds(self._lagged(lag)), (high - low) / (2 * LAG_STEP * lag)
+            speed = self._centred() if lag is None else self._lagged(lag)
+            self._speeds[lag] = np.sqrt(_merged(speed**2, self.merged))
         return self._speeds[lag]
+
+    def slope_in_lag(self, lag: float) -> Floats:
+        """(N, rotors) rad/s^2 of `rotor_speed`."""
+        low, high = (self.rotor_speed(lag * (1 + step)) for step in (-LAG_STEP, LAG_STEP))
+        return np.asarray((high - low) / (2 * LAG_STEP * lag))
 
     def measured_reference(self) -> Reference:
         """The trajectory of the readings themselves."""
@@ -75,7 +77,7 @@ class FlightRows:
         first, last = self.rotation[0] @ exponential(-turn[0]), self.rotation[-1] @ exponential(turn[-1])
         rotors = np.zeros((len(self) + 1, 0))
         if "rotor_speed" in self.readings:
-            speed, _ = self.rotor_speed(None)
+            speed = self.rotor_speed(None)
             rotors = np.concatenate([_ends(speed), _ends(np.gradient(speed, self.period, axis=0))], axis=1)
         rotation = np.concatenate([first[None], inner, last[None]])
         return Reference(_ends(self.velocity), rotation, _ends(self.rate), rotors)
@@ -90,7 +92,7 @@ class FlightRows:
             moved[0], moved[1:] = raw[0], raw[:-1]
         else:
             moved[-1], moved[:-1] = raw[-1], raw[1:]
-        return (1 - weight) * raw + weight * moved
+        return np.asarray((1 - weight) * raw + weight * moved)
 
     def _lagged(self, lag: float) -> Floats:
         """First-order response, exact for inputs that are lines between rows, or held."""
@@ -103,9 +105,6 @@ class FlightRows:
             weights = (1 - decay) * np.array([share, 1 - share])
         zi = lfilter_zi(weights, [1, -decay])[:, None] * raw[:1]
         return np.asarray(lfilter(weights, [1, -decay], raw, axis=0, zi=zi)[0])
-
-    def _merged_speeds(self, speed: Floats) -> Floats:
-        return np.sqrt(_merged(speed**2, self.merged))
 
 
 def make_rows(segment: Segment, group: int, thresholds: LikelihoodThresholds = DEFAULT.likelihood) -> FlightRows:

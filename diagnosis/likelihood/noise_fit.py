@@ -113,7 +113,7 @@ class Fitter:
         levels |= {f"accelerometer.density_{axis}": force[i] for i, axis in enumerate("xyz")}
         levels["pose_readings.velocity"] = float(np.median(white(rows.velocity)))
         levels["pose_readings.attitude"] = float(np.median(white(np.cumsum(turn, axis=0))))
-        levels["rotor_motion.reading"] = float(np.median(white(rows.rotor_speed(None)[0])))
+        levels["rotor_motion.reading"] = float(np.median(white(rows.rotor_speed(None))))
         for name, level in levels.items():
             if name in self.names:
                 logs[self.names.index(name)] = np.log(level)

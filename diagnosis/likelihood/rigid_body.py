@@ -31,6 +31,7 @@ OUTPUTS: Mapping[str, slice] = {  # of the functions; the rotors' readings and t
     "attitude": slice(15, 18),
 }
 SPEEDS = 18
+BEFORE_READING = 0.8  # of a period after the row before: where a line has its mean effect on a row's mean rate
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 
@@ -40,7 +41,7 @@ class Along:
     """The model along a flight about a reference.
 
     reference: at the rows' ends. rotation, rate, velocity: at their middles.
-    speed, spin_up, slope_in_lag: (N, rotors) rad/s and rad/s^2 of the rotors, and their speeds' slope in the lag.
+    speed, spin_up: (N, rotors) rad/s and rad/s^2 of the rotors.
     force: (N, 3) specific force. turning: (N, 3) angular acceleration.
     slope: (N, 6, 9) of both in the error state; by_rotor (N, 6, rotors).
     defect: (N, 9 or 9 + 2 rotors) where a row's model ends, less the reference there.
@@ -54,7 +55,6 @@ class Along:
     rate: Floats
     speed: Floats
     spin_up: Floats
-    slope_in_lag: Floats | None
     force: Floats
     turning: Floats
     slope: Floats
@@ -76,20 +76,21 @@ class FlightModel:
         self.model: Model = build_model(vehicle, effects=self.uses, catalogue=catalogue)
         self.lag = sum(use.parameters["time_constant"] for use in lags) or None if lags else None
 
-    def speeds(self, rows: FlightRows, reference: Reference) -> tuple[Floats, Floats, Floats | None]:
-        """(N, rotors) speeds of the rotors in the rows, their acceleration, and the speeds' slope in the lag."""
+    def speeds(self, rows: FlightRows, reference: Reference) -> tuple[Floats, Floats]:
+        """(N, rotors) speeds of the rotors in the rows, and their acceleration."""
         if "rotor_speed" in rows.readings:
             speed, slope = np.split(reference.rotors[:-1], 2, axis=1)
-            return speed + rows.period / 2 * slope, slope, None
-        speed, in_lag = rows.rotor_speed(self.lag)
-        return speed, np.gradient(speed, rows.period, axis=0), in_lag
+            return speed + rows.period / 2 * slope, slope
+        speed = rows.rotor_speed(self.lag)
+        return speed, np.gradient(speed, rows.period, axis=0)
 
     def along(self, rows: FlightRows, reference: Reference, hover_force: Floats) -> Along:
         """The model along a flight. hover_force: about which the noise's transition is constant."""
         dt, count = rows.period, self.model.vehicle.rotors.count
-        speed, spin_up, slope_in_lag = self.speeds(rows, reference)
+        speed, spin_up = self.speeds(rows, reference)
+        early = speed if "rotor_speed" in rows.readings else before_reading(speed)
         v, R, w = reference.velocity[:-1], reference.rotation[:-1], reference.rate[:-1]
-        start = self._evaluated(rows, v, R, w, speed, spin_up, ())[:, :6]
+        start = self._evaluated(rows, v, R, w, early, spin_up, ())[:, :6]
         v_half = v + dt / 2 * (np.einsum("tij,tj->ti", R, start[:, :3]) - [0, 0, GRAVITY])
         R_half = R @ exponential(dt / 2 * w + dt**2 / 8 * start[:, 3:])
         w_half = w + dt / 2 * start[:, 3:]
@@ -121,7 +122,7 @@ class FlightModel:
         difference = self._difference(rows, v_half, R_half, spin_up, out)
         conditions = np.concatenate([force - hover_force, w_half], axis=1)
         model = Linearised(A, C, np.ascontiguousarray(conditions))
-        motion = (reference, v_half, R_half, w_half, speed, spin_up, slope_in_lag, force, turning)
+        motion = (reference, v_half, R_half, w_half, speed, spin_up, force, turning)
         return Along(*motion, slope, slopes[:, :, 6:], defect, difference, model)
 
     def parameter_slopes(self, rows: FlightRows, along: Along, free: Sequence[str]) -> Floats:
@@ -145,10 +146,21 @@ class FlightModel:
             "gyro": lambda: np.asarray(rows.rate - out[:, OUTPUTS["gyro"]]),
             "accelerometer": lambda: np.asarray(rows.force - out[:, OUTPUTS["accelerometer"]]),
             "rotor_speed": lambda: np.asarray(
-                rows.rotor_speed(None)[0] - out[:, SPEEDS : SPEEDS + count] + spin_up * out[:, [SPEEDS + count]]
+                rows.rotor_speed(None) - out[:, SPEEDS : SPEEDS + count] + spin_up * out[:, [SPEEDS + count]]
             ),
         }
         return np.concatenate([parts[kind]() for kind in rows.readings], axis=1)
+
+
+def before_reading(values: Floats) -> Floats:
+    """(N, ...) what acts in a row until it is read, by the rows before it alone.
+
+    A controller answers a row's turbulence within it. Commands of the row itself would explain a part of its readings'
+    noise, which an inertia or a lag would gain by.
+    """
+    early = values.copy()
+    early[2:] = (1 + BEFORE_READING) * values[1:-1] - BEFORE_READING * values[:-2]
+    return early
 
 
 def moved_reference(reference: Reference, states: Floats) -> Reference:

@@ -20,6 +20,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     rounds: of search, each linear about the last one's answer. [cost]
     settled_rounds: after which the noise's values are among the nuisances. [definition: near the optimum]
     settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]
+    trusted: s of flight whose evidence counts, however long the flights are: no model is right to more than its share
+        of each second. [decisions: calibrated on seeds that no page has]
     max_effects: in one set. [convention]
     min_improvement: of the log-evidence, below which no step is taken. [formula: rounding ends no search]
     """
@@ -36,5 +38,6 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     rounds: Count = 6
     settled_rounds: Count = 2
     settled_step: Positive = 0.3
+    trusted: Positive = 2.0
     max_effects: Count = 10
     min_improvement: Positive = 0.5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,6 +14,7 @@ from diagnosis.likelihood.gain import NoiseSlopes
 from diagnosis.likelihood.identify import identify
 from diagnosis.likelihood.problem import Information, Problem
 from diagnosis.likelihood.rigid_body import FlightModel
+from diagnosis.thresholds.likelihood import LikelihoodThresholds
 from dynamics.vehicle import GRAVITY, EffectUse
 from tests.diagnosis.likelihood.flights import problem_of
 
@@ -44,14 +47,15 @@ def test_a_column_is_the_slope_of_the_model(name, parameter, step):
     np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
 
 
-def made_up(random: np.random.Generator) -> tuple[Problem, list[Information], list[np.ndarray], list[np.ndarray]]:
+def made_up(random: np.random.Generator, trusted: float = 1e12) -> tuple[Problem, list[Information], list[np.ndarray], list[np.ndarray]]:
     """Two flights of three blocks with three effects, a bias of each flight and a discrepancy of each block."""
     problem = problem_of("nothing", "speeds", 90002, 1)
     chosen = [c for c in problem.what.all if c.effect.name in ("mass", "linear_drag", "thrust_constant")]
     columns = tuple(Column(i, c.free[0]) for i, c in enumerate(chosen))
     nuisances = (Nuisance("gyro", 0, 0.4, "flight"), Nuisance("force", 0, 0.2, "block"))
     what = Candidates(tuple(chosen), columns, nuisances)
-    small = Problem(problem.vehicle, problem.catalogue, problem.flights, what)
+    thresholds = LikelihoodThresholds(trusted=trusted)
+    small = Problem(problem.vehicle, problem.catalogue, problem.flights, what, thresholds=thresholds)
     parts, designs, readings = [], [], []
     for group in range(2):
         X = random.standard_normal((3, 8, 5))
@@ -94,6 +98,33 @@ def test_evidence_is_the_ratio_of_the_gaussian_densities():
         prior = sum(search.log_prior[i] for i in members)
         assert scored.evidence - prior == pytest.approx(log_density(members) - log_density(()), rel=1e-9)
     assert any(search.score(m).evidence != IMPOSSIBLE for m in ((0,), (1,), (2,)))
+
+
+def test_more_of_the_same_flights_makes_a_small_error_of_the_model_no_surer():
+    """The evidence is that of trusted seconds: flights ten times as long count no more than these, and say the same."""
+    once, often = (made_up(np.random.default_rng(8), trusted) for trusted in (1.0, 1e12))
+    seconds = sum(len(rows) * rows.period for rows in once[0].flights)
+
+    def scored(made, times: int, member: int = 1):
+        problem, parts, _, _ = made
+        longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
+        return Search(longer, sums(longer, list(parts) * times, NO_NOISE, settled=False)).score((member,))
+
+    gains = [scored(once, times).evidence for times in (1, 10, 100)]
+    assert gains[2] - gains[1] < 0.1 * abs(gains[0]) + 0.1
+    assert scored(often, 10).evidence > 5 * scored(often, 1).evidence
+    assert seconds > 1.0
+    np.testing.assert_allclose(scored(once, 100).values, scored(often, 100).values)
+
+
+def test_a_rival_makes_a_set_that_is_nearly_as_likely():
+    problem, parts, _, _ = made_up(np.random.default_rng(6))
+    search = Search(problem, sums(problem, parts, NO_NOISE, settled=False))
+    best = search.score((1,))
+    for within in (0.5, 3.0, 30.0):
+        rivals = search.rivals(best, 1, within)
+        others = [i for i in (0, 2) if search.score((i,)).evidence >= best.evidence - within]
+        assert rivals == others
 
 
 def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
