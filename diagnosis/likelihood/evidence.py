@@ -5,7 +5,7 @@ information M and score g of its columns and the precision P of the catalogue's 
 
 Every model is wrong by a little, which any number of seconds makes certain. M and g of a set's evidence are therefore
 those of `trusted` seconds: a coarsened posterior, which holds for data that are near to the model's, and not its own
-(Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association 114, 2019).
+(Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association, 2019).
 Values and their deviations are those of all.
 """
 

@@ -47,7 +47,9 @@ def test_a_column_is_the_slope_of_the_model(name, parameter, step):
     np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
 
 
-def made_up(random: np.random.Generator, trusted: float = 1e12) -> tuple[Problem, list[Information], list[np.ndarray], list[np.ndarray]]:
+def made_up(
+    random: np.random.Generator, trusted: float = 1e12
+) -> tuple[Problem, list[Information], list[np.ndarray], list[np.ndarray]]:
     """Two flights of three blocks with three effects, a bias of each flight and a discrepancy of each block."""
     problem = problem_of("nothing", "speeds", 90002, 1)
     chosen = [c for c in problem.what.all if c.effect.name in ("mass", "linear_drag", "thrust_constant")]
