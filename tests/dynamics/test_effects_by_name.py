@@ -25,6 +25,7 @@ ALLOWED = {
     },
     "flights/readers/blackbox_fields.py": {"gyro_scale"},  # a key of a blackbox header
     "flights/quality/rotor_balance.py": {"rotor_speed_fault"},  # the name of a finding in reports
+    "runtime/control/rti/last_setpoint.py": {"mass"},  # a field of the C struct
     "runtime/control/rti/problem.py": {"thrust_constant"},  # a field of the C struct
     "sitl_mock/vehicle/plant.py": {"torque_constant", "gyro_bias"},  # constants of the mock's own sensors and battery
     "sitl_mock/vehicle/sensors.py": {"gyro_bias"},

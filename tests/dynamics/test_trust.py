@@ -266,6 +266,7 @@ RUNNERS = {
 }  # fmt: skip
 ALLOWED = {
     ("dynamics/trust.py", "compile"), ("dynamics/trust.py", "exec"), ("dynamics/trust.py", "ctypes.CDLL"),
+    ("dynamics/trust.py", "ctypes.PyDLL"),  # of a library that is loaded already
     ("runtime/realtime.py", "ctypes.CDLL"),  # of None: this process
     ("alula/__init__.py", "import_module"), ("alula/cli/app.py", "import_module"),  # of names in a table
     ("runtime/link/dialect.py", "import_module"), ("studies/results/read.py", "import_module"),
