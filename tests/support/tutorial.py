@@ -72,7 +72,7 @@ def run(language: str, text: str, folder: Path) -> str:
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "240", "OMP_NUM_THREADS": "1"}
     log = folder / "output.txt"
     with log.open("wb") as output:
-        # a group of its own, but no session: between sessions the kernel shares the processors whatever their nice values
+        # a group, but no session: between sessions the kernel shares the processors whatever their nice values
         process = subprocess.Popen(
             command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT, process_group=0
         )
