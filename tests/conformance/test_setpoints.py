@@ -114,7 +114,10 @@ def test_mask_7_and_64_is_zero_thrust(link: RawLink, flying: Stream, is_sih: boo
     flying.make = lambda _: attitude_target(HOVER, mask=7 + 64)
     _, after = link.wait_for("ODOMETRY", lambda here: here.time_usec >= began.time_usec + 500_000)
     flying.make = hover_at(HEIGHT)
-    assert after.vz - began.vz == pytest.approx(3.4 if is_sih else 4.5, abs=0.4)  # of SIH's slow motors
+    # estimates come in bursts on a busy machine, and it falls on
+    late = (after.time_usec - began.time_usec) * 1e-6 - 0.5
+    fallen = after.vz - began.vz - 9.8 * late
+    assert fallen == pytest.approx(3.4 if is_sih else 4.5, abs=0.4)  # of SIH's slow motors
     assert link.state().custom_mode == OFFBOARD
 
 

@@ -13,14 +13,17 @@ from studio.app import studio as room
 from studio.app.studio import MAX_WORKERS, Studio
 from studio.work.worker import Outcome
 
+MEMORY = 123_456_789  # bytes: by which this test's server is known from those whose timers other tests left
+
 
 class CountedWorker:
-    """A worker without a process."""
+    """A worker without a process; those of other servers do not count."""
 
     alive: ClassVar[set[CountedWorker]] = set()  # threads add and remove at once
 
     def __init__(self, memory: int | None = None) -> None:
-        self.alive.add(self)
+        if memory == MEMORY:
+            self.alive.add(self)
 
     def run(self, *_: object) -> Outcome:
         return Outcome("cancelled")
@@ -39,7 +42,7 @@ def test_processes_of_cases_that_rest_end_and_one_waits_for_the_next(
     monkeypatch.setattr(room, "SPARE_DELAY", 0.0)
     log = tmp_path / "log.csv"
     log.write_text("t\n1\n")
-    server = Studio(tmp_path / "cases", RESULTS)
+    server = Studio(tmp_path / "cases", RESULTS, memory=MEMORY)
     for _ in range(5):
         opened = server.case(server.create(name="case"))
         assert opened is not None
