@@ -2,7 +2,8 @@
 
 `diagnosis/likelihood` shall replace the regression; it has no verdict yet. What is scored is the best set of effects:
 those whose removal costs three of the log-evidence (20 to 1) and that are not too small to be claimed. Outcomes are the
-judge's (`python -m benchmarks.verdict`), on seeds that neither was made with; recordings have none.
+judge's (`python -m benchmarks.verdict`). Recordings, RotorPy's and PX4's, have no seeds: those here are the ones by
+which `thresholds.likelihood.trusted` was calibrated, beside flights of the outside simulator of other seeds than these.
 
     python -m benchmarks estimation likelihood --sets captured rotorpy --first 91000 --jobs 2
 """

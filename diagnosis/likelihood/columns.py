@@ -125,7 +125,7 @@ def inputs(
     count = along.speed.shape[1]
     acting, readings = np.zeros((K, N, 6)), np.zeros((K, N, 12 + count))  # of KINDS
     chosen = list(range(len(what.all)) if only is None else only)
-    by_rotor, lag = along.by_rotor, FlightModel(vehicle, uses, catalogue).lag
+    by_rotor = along.by_rotor
 
     def of_rotors(column: int, speeds: Floats) -> None:
         moved = np.einsum("tar,tr->ta", by_rotor, speeds)
@@ -156,7 +156,7 @@ def inputs(
             continue
         column = what.places(i)[0]
         if candidate.free or i in fitted:
-            of_rotors(column, np.zeros_like(along.speed) if lag is None else rows.slope_in_lag(lag))
+            of_rotors(column, np.zeros_like(along.speed) if along.lag is None else rows.slope_in_lag(along.lag))
         else:
             lagged = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
             of_rotors(column, lagged - rows.rotor_speed(None))

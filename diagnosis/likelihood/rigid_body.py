@@ -31,7 +31,9 @@ OUTPUTS: Mapping[str, slice] = {  # of the functions; the rotors' readings and t
     "attitude": slice(15, 18),
 }
 SPEEDS = 18
-BEFORE_READING = 0.8  # of a period after the row before: where a line has its mean effect on a row's mean rate
+# of a period after the row before: where a line has its effect on a rate that is read in the middle of a row (3/4), or
+# as its mean (5/6)
+BEFORE_READING = 0.8
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 
@@ -41,7 +43,7 @@ class Along:
     """The model along a flight about a reference.
 
     reference: at the rows' ends. rotation, rate, velocity: at their middles.
-    speed, spin_up: (N, rotors) rad/s and rad/s^2 of the rotors.
+    speed, spin_up: (N, rotors) rad/s and rad/s^2 of the rotors. lag: s behind their commands, None without.
     force: (N, 3) specific force. turning: (N, 3) angular acceleration.
     slope: (N, 6, 9) of both in the error state; by_rotor (N, 6, rotors).
     defect: (N, 9 or 9 + 2 rotors) where a row's model ends, less the reference there.
@@ -55,6 +57,7 @@ class Along:
     rate: Floats
     speed: Floats
     spin_up: Floats
+    lag: float | None
     force: Floats
     turning: Floats
     slope: Floats
@@ -122,7 +125,7 @@ class FlightModel:
         difference = self._difference(rows, v_half, R_half, spin_up, out)
         conditions = np.concatenate([force - hover_force, w_half], axis=1)
         model = Linearised(A, C, np.ascontiguousarray(conditions))
-        motion = (reference, v_half, R_half, w_half, speed, spin_up, force, turning)
+        motion = (reference, v_half, R_half, w_half, speed, spin_up, self.lag, force, turning)
         return Along(*motion, slope, slopes[:, :, 6:], defect, difference, model)
 
     def parameter_slopes(self, rows: FlightRows, along: Along, free: Sequence[str]) -> Floats:

@@ -21,7 +21,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     settled_rounds: after which the noise's values are among the nuisances. [definition: near the optimum]
     settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]
     trusted: s of flight whose evidence counts, however long the flights are: no model is right to more than its share
-        of each second. [decisions: calibrated on seeds that no page has]
+        of each second. [decisions: calibrated on other seeds than the page's, and on its recordings]
     max_effects: in one set. [convention]
     min_improvement: of the log-evidence, below which no step is taken. [formula: rounding ends no search]
     """

@@ -36,7 +36,7 @@ from runtime.flight.tick_plan import TickPlan, leaves_tick
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
-ZERO, ZERO_RATE = np.zeros(3), np.zeros(3)
+ZERO = np.zeros(3)
 STOPPED = "stopped streaming at once"
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
@@ -338,7 +338,7 @@ class Flyer:
         if self.engagement.initially_armed:
             decision.rate_body, decision.collective_thrust = self._hold.command(0.0)
         else:
-            decision.rate_body, decision.collective_thrust = ZERO_RATE, 0.0
+            decision.rate_body, decision.collective_thrust = ZERO, 0.0
 
     def _hold_level(self, decision: Decision) -> None:
         decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
@@ -348,7 +348,7 @@ class Flyer:
     def _take_off(self, observation: ObservationRecord, decision: Decision) -> None:
         state, time = self._measured.state, observation.time
         assert state is not None
-        decision.rate_body = ZERO_RATE
+        decision.rate_body = ZERO
         if decision.fallback >= Fallback.LEVEL_HOLD:
             self._land(self._chain.reason, state, time)
             return
@@ -365,7 +365,7 @@ class Flyer:
 
     def _shut_down(self, observation: ObservationRecord, decision: Decision) -> None:
         since = observation.time - self.mission.phase_started
-        decision.rate_body = ZERO_RATE
+        decision.rate_body = ZERO
         decision.collective_thrust = self._settling.shut_down(since, self.output.last_thrust)
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
@@ -425,7 +425,7 @@ class Flyer:
         elif decision.fallback is Fallback.SHIFTED_SOLUTION and shifted.reaches(observation.time):
             decision.rate_body, decision.collective_thrust = shifted.at(observation.time)
         elif not self.controllers.prepared and hand_over is not None:
-            decision.rate_body, decision.collective_thrust = ZERO_RATE, hand_over.collective_thrust
+            decision.rate_body, decision.collective_thrust = ZERO, hand_over.collective_thrust
         else:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
