@@ -8,8 +8,8 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from benchmarks.link.daemon import ALULA
-from benchmarks.measurement import Page, options_of, paragraph_of
+from benchmarks.measurement import ROOT, Page, options_of, paragraph_of
 from benchmarks.provenance import RESULTS
 from dynamics.arrays import Floats
 from dynamics.vehicle_file import find_vehicle, read_vehicle
@@ -29,10 +29,12 @@ from sitl_mock.vehicle.battery import usual_battery
 
 VEHICLE = "arpl_250g"
 PICTURE = "soak.png"
+KEPT = ROOT / "build/soak.json"  # the flights of the last complete run
 PERIOD = 1.0  # s between samples of the processes
 MOCK_PRIORITY = 1
 FIRST, LAST = "-> STREAMING", "ENGAGED -> STANDBY"  # changes of state between which samples are taken
-ROWS = 10  # of the table over time
+ROWS = 12  # of the table over time
+LATE = ("ours", "scheduler")  # causes of a late setpoint
 ROOM = 1.3  # of an axis beyond its lines, for the legend
 BIN = 10.0  # s of ticks for each point of the picture
 FIGURES = (
@@ -42,7 +44,8 @@ FIGURES = (
     "threads",
     "descriptors",
     "recording, MCAP and tlog, at most",
-    "late setpoints of those recorded: ours, scheduler",
+    "late setpoints of the whole flight: ours, scheduler",
+    "latest of them",
     "position error, RMS",
     "events",
 )
@@ -59,8 +62,7 @@ class Tick(msgspec.Struct, frozen=True):
     late_cause: str
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(msgspec.Struct, frozen=True):
     """The daemon and the mock at a time. Memory and disk in bytes."""
 
     time: float
@@ -71,15 +73,22 @@ class Sample:
     disk: int
 
 
-@dataclass(frozen=True)
-class Flight:
-    """A flight: samples, report, and of each recorded tick with a setpoint time and lateness (n,), s, and its cause."""
+class Flight(msgspec.Struct, frozen=True):
+    """A flight: samples, report, and the recorded ticks that sent a setpoint."""
 
     samples: list[Sample]
     report: dict[str, Any]
-    times: Floats
-    lateness: Floats
-    causes: list[str]
+    ticks: list[Tick]
+
+    @property
+    def times(self) -> Floats:
+        """Of the ticks, (n,), s."""
+        return np.array([tick.time for tick in self.ticks])
+
+    @property
+    def lateness(self) -> Floats:
+        """From trigger to departure, (n,), s."""
+        return np.array([tick.departure_seconds for tick in self.ticks], dtype=float)
 
 
 def status(process: int, field: str) -> int:
@@ -118,10 +127,17 @@ def fly(options: Any, minutes: float, limit: float | None) -> Flight:
     """Fly beside the mock. minutes: of the reference. limit: of the recording, MB, None for none."""
     with tempfile.TemporaryDirectory() as folder:
         samples, report = sampled(options, minutes, limit, Path(folder))
-        ticks = list(ticks_of(Path(report["recording"])))
-    lateness = [tick.departure_seconds for tick in ticks]
-    causes = [tick.late_cause for tick in ticks]
-    return Flight(samples, report, np.array([tick.time for tick in ticks]), np.array(lateness, dtype=float), causes)
+        return Flight(samples, report, list(ticks_of(Path(report["recording"]))))
+
+
+def fly_both(options: Any) -> list[Flight]:
+    """A flight that records all and, beside it, one with a bounded recording."""
+    plans = [(options.minutes, None), (options.limited_minutes, options.record_limit)]
+    with ThreadPoolExecutor(len(plans)) as pool:
+        flights = list(pool.map(lambda plan: fly(options, *plan), plans))
+    KEPT.parent.mkdir(parents=True, exist_ok=True)
+    KEPT.write_bytes(msgspec.json.encode(flights))
+    return flights
 
 
 def sampled(options: Any, minutes: float, limit: float | None, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
@@ -185,24 +201,31 @@ def binned(times: Floats, values: Floats, start: float, width: float) -> list[tu
     return [((each + 0.5) * width, values[number == each]) for each in np.unique(number).tolist()]
 
 
-def table(flight: Flight) -> list[str]:
-    """Rows over time."""
+def table(flight: Flight, limited: Flight) -> list[str]:
+    """Rows over time. limited: flown beside it, at the same times."""
     lines = [
-        "| minutes | memory, MB | mock's memory, MB | threads | descriptors | recording, MB | "
-        "arrival to departure, ms: median / p99 / max |",
-        "| --- " * 7 + "|",
+        "| minutes | memory, MB | with --record-limit | mock's memory, MB | threads | descriptors | recording, MB | "
+        "with --record-limit | arrival to departure, ms: median / p99 / max | late: ours, scheduler |",
+        "| --- " * 10 + "|",
     ]
     start = flight.samples[0].time
     width = max((flight.samples[-1].time - start) / ROWS, 6.0)
+    causes = np.array([LATE.index(tick.late_cause) if tick.late_cause in LATE else -1 for tick in flight.ticks])
+    counts = dict(binned(flight.times, causes, start, width))
     for middle, values in binned(flight.times, flight.lateness, start, width):
-        since = [each for each in flight.samples if abs(each.time - start - middle) <= width / 2]
-        if not since:
+        latest, beside = (
+            next((each for each in reversed(samples) if abs(each.time - start - middle) <= width / 2), None)
+            for samples in (flight.samples, limited.samples)
+        )
+        if latest is None:
             continue
-        latest = since[-1]
         late = " / ".join(f"{1e3 * value:.2f}" for value in np.percentile(values, [50, 99, 100]))
+        count = ", ".join(str(np.count_nonzero(counts[middle] == cause)) for cause in range(len(LATE)))
+        memory, disk = (f"{beside.memory / 1e6:.1f}", f"{beside.disk / 1e6:.1f}") if beside else ("", "")
         lines.append(
-            f"| {(middle + width / 2) / 60:.1f} | {latest.memory / 1e6:.1f} | {latest.mock_memory / 1e6:.1f} | "
-            f"{latest.threads} | {latest.descriptors} | {latest.disk / 1e6:.1f} | {late} |"
+            f"| {(middle + width / 2) / 60:.1f} | {latest.memory / 1e6:.1f} | {memory} | "
+            f"{latest.mock_memory / 1e6:.1f} | {latest.threads} | {latest.descriptors} | {latest.disk / 1e6:.1f} | "
+            f"{disk} | {late} | {count} |"
         )
     return lines
 
@@ -248,15 +271,17 @@ def column(flight: Flight) -> list[str]:
     samples, report = flight.samples, flight.report
     threads, descriptors = ({getattr(each, name) for each in samples} for name in ("threads", "descriptors"))
     minutes = (samples[-1].time - samples[0].time) / 60
-    late = [flight.causes.count(cause) for cause in ("ours", "scheduler")]
+    timing = report["timing"]
+    worst = f"{1e3 * timing['worst_late']:.0f} ms, {timing['worst_cause']}" if timing["worst_cause"] else "none"
     return [
-        f"{minutes:.1f} min, {report['timing']['ticks']}",
+        f"{minutes:.1f} min, {timing['ticks']}",
         report["outcome"],
         f"{60 * growth(samples) / 1e3:.0f} kB",
         f"{min(threads)} to {max(threads)}",
         f"{min(descriptors)} to {max(descriptors)}",
         f"{max(each.disk for each in samples) / 1e6:.1f} MB",
-        f"{late[0]}, {late[1]} of {len(flight.causes)}",
+        f"{', '.join(str(timing['missed'][cause]) for cause in LATE)}",
+        worst,
         f"{1e3 * report['tracking']['position_rmse']:.0f} mm",
         ", ".join(f"{name} {count}x" for name, count in report["events"].items()) or "none",
     ]
@@ -265,24 +290,24 @@ def column(flight: Flight) -> list[str]:
 def soak(words: Sequence[str]) -> Page:
     """Long flights at 100 Hz against the mock: does anything of the daemon grow, and does it become late?
 
-    Memory, threads, descriptors and the recording's files are read from /proc and the folder once a second; lateness is
-    that of the recorded ticks, from what triggers one, an estimate's arrival, to the departure of its setpoint. Beside
-    it a flight with a bounded recording.
+    Memory, threads, descriptors and the recording's files are read from /proc and the folder once a second. Lateness is
+    from what triggers a tick, an estimate's arrival, to the departure of its setpoint; late is more than half a period.
+    Two flights side by side: one records all, the other has a bounded recording.
 
-        python -m benchmarks link soak [--minutes 10] [--limited-minutes 4] [--record-limit MB] [--plain]
+        python -m benchmarks link soak [--minutes 60] [--limited-minutes 60] [--record-limit MB] [--plain] [--again]
 
     Mock and daemon are processes of their own on this machine, the mock under SCHED_FIFO as well, since a vehicle has
-    its own processors. An hour is --minutes 60.
+    its own processors.
     """
     parser = options_of(soak.__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="of the reference, with all of the recording")
-    parser.add_argument("--limited-minutes", type=float, default=4.0, help="of the reference, with a bounded recording")
-    parser.add_argument("--record-limit", type=float, default=10.0, help="MB of the bounded recording")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of the reference, with all of the recording")
+    parser.add_argument("--limited-minutes", type=float, default=60.0, help="of the reference, bounded recording")
+    parser.add_argument("--record-limit", type=float, default=100.0, help="MB of the bounded recording")
+    parser.add_argument("--again", action="store_true", help="page and picture of the last run's flights, none flown")
     parser.add_argument("--reference", default="lemniscate", help="as of alula fly")
     parser.add_argument("--plain", action="store_true", help="ordinary scheduling instead of SCHED_FIFO")
     options = parser.parse_args(words)
-    flight = fly(options, options.minutes, None)
-    limited = fly(options, options.limited_minutes, options.record_limit)
+    flight, limited = msgspec.json.decode(KEPT.read_bytes(), type=list[Flight]) if options.again else fly_both(options)
     completed = flight.report["completed"] and limited.report["completed"]
     if completed and not (options.quick or options.no_page):
         plot(flight, limited)
@@ -296,7 +321,7 @@ def soak(words: Sequence[str]) -> Page:
         "| --- | --- | --- |",
         *(f"| {' | '.join(row)} |" for row in zip(FIGURES, column(flight), column(limited), strict=True)),
         "",
-        *table(flight),
+        *table(flight, limited),
         "",
         "A whole recording's index is in memory until its end: about 0.9 kB for each chunk of 0.4 s, 130 kB a minute. "
         "A bounded recording writes it with each part. What else grows is not attributed yet.",
