@@ -29,7 +29,7 @@ from sitl_mock.vehicle.battery import usual_battery
 
 VEHICLE = "arpl_250g"
 PICTURE = "soak.png"
-KEPT = ROOT / "build/soak.json"  # the flights of the last complete run
+LAST_RUN = ROOT / "build/soak.json"  # the flights of the last complete run
 PERIOD = 1.0  # s between samples of the processes
 MOCK_PRIORITY = 1
 FIRST, LAST = "-> STREAMING", "ENGAGED -> STANDBY"  # changes of state between which samples are taken
@@ -135,8 +135,8 @@ def fly_both(options: Any) -> list[Flight]:
     plans = [(options.minutes, None), (options.limited_minutes, options.record_limit)]
     with ThreadPoolExecutor(len(plans)) as pool:
         flights = list(pool.map(lambda plan: fly(options, *plan), plans))
-    KEPT.parent.mkdir(parents=True, exist_ok=True)
-    KEPT.write_bytes(msgspec.json.encode(flights))
+    LAST_RUN.parent.mkdir(parents=True, exist_ok=True)
+    LAST_RUN.write_bytes(msgspec.json.encode(flights))
     return flights
 
 
@@ -213,7 +213,7 @@ def table(flight: Flight, limited: Flight) -> list[str]:
     causes = np.array([LATE.index(tick.late_cause) if tick.late_cause in LATE else -1 for tick in flight.ticks])
     counts = dict(binned(flight.times, causes, start, width))
     for middle, values in binned(flight.times, flight.lateness, start, width):
-        latest, beside = (
+        latest, other = (
             next((each for each in reversed(samples) if abs(each.time - start - middle) <= width / 2), None)
             for samples in (flight.samples, limited.samples)
         )
@@ -221,7 +221,7 @@ def table(flight: Flight, limited: Flight) -> list[str]:
             continue
         late = " / ".join(f"{1e3 * value:.2f}" for value in np.percentile(values, [50, 99, 100]))
         count = ", ".join(str(np.count_nonzero(counts[middle] == cause)) for cause in range(len(LATE)))
-        memory, disk = (f"{beside.memory / 1e6:.1f}", f"{beside.disk / 1e6:.1f}") if beside else ("", "")
+        memory, disk = (f"{other.memory / 1e6:.1f}", f"{other.disk / 1e6:.1f}") if other else ("", "")
         lines.append(
             f"| {(middle + width / 2) / 60:.1f} | {latest.memory / 1e6:.1f} | {memory} | "
             f"{latest.mock_memory / 1e6:.1f} | {latest.threads} | {latest.descriptors} | {latest.disk / 1e6:.1f} | "
@@ -307,7 +307,9 @@ def soak(words: Sequence[str]) -> Page:
     parser.add_argument("--reference", default="lemniscate", help="as of alula fly")
     parser.add_argument("--plain", action="store_true", help="ordinary scheduling instead of SCHED_FIFO")
     options = parser.parse_args(words)
-    flight, limited = msgspec.json.decode(KEPT.read_bytes(), type=list[Flight]) if options.again else fly_both(options)
+    flight, limited = (
+        msgspec.json.decode(LAST_RUN.read_bytes(), type=list[Flight]) if options.again else fly_both(options)
+    )
     completed = flight.report["completed"] and limited.report["completed"]
     if completed and not (options.quick or options.no_page):
         plot(flight, limited)
