@@ -140,6 +140,11 @@ def fly_both(options: Any) -> list[Flight]:
     return flights
 
 
+def last_flights() -> list[Flight]:
+    """Both flights of the last complete run."""
+    return msgspec.json.decode(LAST_RUN.read_bytes(), type=list[Flight])
+
+
 def sampled(options: Any, minutes: float, limit: float | None, folder: Path) -> tuple[list[Sample], dict[str, Any]]:
     """Samples from the first setpoint until the vehicle is disarmed, and the report."""
     scenario, recordings = folder / "scenario.toml", folder / "recordings"
