@@ -3,10 +3,10 @@
 log p(set | data) = log p(none | data) + g' (M + P)^-1 g / 2 - log det(1 + M / P) / 2 + log p(set), with the
 information M and score g of its columns and the precision P of the catalogue's priors; nuisances are marginalised.
 
-Every model is wrong by a little, which any number of seconds makes certain. M and g of a set's evidence are therefore
-those of `trusted` seconds: a coarsened posterior, which holds for data that are near to the model's, and not its own
-(Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association, 2019).
-Values and their deviations are those of all.
+Every model is wrong by a little, which any number of seconds makes certain. The likelihood in a set's evidence is
+therefore that of `trusted` seconds: a coarsened posterior, which holds for data that are near to the model's, and not
+its own (Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association,
+2019). Priors are not coarsened, those of nuisances neither. Values and their deviations are those of all.
 """
 
 from __future__ import annotations
@@ -50,11 +50,14 @@ class Sums:
         return np.asarray((inverse @ (score - across @ change))[:count])
 
 
-def sums(problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool) -> Sums:
+def sums(
+    problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool, share: float = 1.0
+) -> Sums:
     """Marginalise discrepancies of each block, then sensors of each flight, then what all flights share, with the
     noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters.
 
     settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
+    share: power of the likelihood.
     """
     what = problem.what
     K, present_values = len(what.columns), present(problem)
@@ -72,7 +75,7 @@ def sums(problem: Problem, information: Sequence[Information], noise: NoiseSlope
     columns = [i for i in range(what.width + len(noise.precision) * settled) if i not in kinds["block"]]
     M_all, g_all, groups = [], [], []
     for part in information:
-        M, g = _marginal(part.M, part.g, kinds["block"], columns, precision)
+        M, g = _marginal(share * part.M, share * part.g, kinds["block"], columns, precision)
         M_all.append(M)
         g_all.append(g)
         groups += [part.group] * len(M)
@@ -163,18 +166,25 @@ class Scored:
 
 
 class Search:
-    """Sets of candidates by their evidence."""
+    """Sets of candidates by their evidence.
 
-    def __init__(self, problem: Problem, total: Sums) -> None:
-        self.problem, self.what, self.total = problem, problem.what, total
-        self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
+    total, coarse: sums of the likelihood, and of its share that counts as evidence.
+    """
+
+    def __init__(
+        self, problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool
+    ) -> None:
         seconds = sum(len(rows) * rows.period for rows in problem.flights)
-        self.share = 1 / (1 + seconds / problem.thresholds.trusted)
+        share = 1 / (1 + seconds / problem.thresholds.trusted)
+        self.problem, self.what = problem, problem.what
+        self.total = sums(problem, information, noise, settled=settled)
+        self.coarse = sums(problem, information, noise, settled=settled, share=share)
+        self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
         self.columns = [self.what.places(i) for i in range(len(self.what.all))]
         names = [c.effect.name for c in self.what.all]  # those of commands are none of the search's
         effects = len(set(names))
         self.log_prior = [-np.log(effects) - np.log(names.count(name)) for name in names]
-        size = np.diag(total.M)
+        size = np.diag(self.total.M)
         lags = [i for i in problem.fitted if self.what.all[i].effect.rotor_speed is not None]
         self.able = [
             i
@@ -201,15 +211,13 @@ class Search:
         if len({self.what.all[i].identity for i in members}) < len(members):
             return nothing
         std = self.std[c]
-        M = self.total.M[np.ix_(c, c)] * std * std[:, None]
-        g = self.total.g[c] * std
+        M, coarse = (s.M[np.ix_(c, c)] * std * std[:, None] + np.eye(len(c)) for s in (self.total, self.coarse))
         try:
-            covariance = np.linalg.inv(M + np.eye(len(c)))
-            cholesky = np.linalg.cholesky(self.share * M + np.eye(len(c)))
+            covariance, cholesky = np.linalg.inv(M), np.linalg.cholesky(coarse)
         except np.linalg.LinAlgError:
             return nothing
-        values = covariance @ g * std
-        half = np.linalg.solve(cholesky, self.share * g)
+        values = covariance @ (self.total.g[c] * std) * std
+        half = np.linalg.solve(cholesky, self.coarse.g[c] * std)
         evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
         if not self._possible(members, values):
             return nothing

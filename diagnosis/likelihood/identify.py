@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.likelihood.evidence import Scored, Search, Sums, present, sums
+from diagnosis.likelihood.evidence import Scored, Search, present
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
 from dynamics.arrays import Floats
@@ -37,27 +37,27 @@ def identify(problem: Problem, structures: Sequence[str] | None = None, progress
         if number == 0:
             problem.relinearise(noise.gain)
         information = problem.information(noise.gain, noise.slopes)
-        total = sums(problem, information, noise.slopes, settled=number >= t.settled_rounds)
-        search = Search(problem, total)
+        settled = number >= t.settled_rounds
+        search = Search(problem, information, noise.slopes, settled=settled)
         best = search.best(members)
         values = search.named_values(best)
         step = _step(problem, search, best)
         chi = sum(i.squares.sum() for i in information) / sum(i.count for i in information)
         same = set(best.members) == set(members)
         members = best.members
-        if same and step < t.settled_step and number >= t.settled_rounds:
+        if same and step < t.settled_step and settled:
             break
-        problem.fitted = values | _commands(problem, search, total, best)
+        problem.fitted = values | _commands(problem, search, best)
         if number == t.settled_rounds - 1:
             noise = fit_noise(problem, noise.structure, values=noise.values, only=members)
-    std = _deviations(total, search, best)
+    std = _deviations(search, best)
     return Identified(noise, search, best, std, float(chi))
 
 
-def _commands(problem: Problem, search: Search, total: Sums, best: Scored) -> dict[int, dict[str, float]]:
+def _commands(problem: Problem, search: Search, best: Scored) -> dict[int, dict[str, float]]:
     """Values of what lies between command and thrust, beside the best set."""
     what, own = problem.what, problem.what.of_commands
-    change = total.of_commands(search.places(best), best.values, len(own))
+    change = search.total.of_commands(search.places(best), best.values, len(own))
     made = {}
     for place, value in zip(own, present(problem)[own] + change, strict=True):
         number = what.columns[place].candidate
@@ -75,11 +75,12 @@ def _step(problem: Problem, search: Search, best: Scored) -> float:
     return float(np.max(np.abs(change) / np.sqrt(np.diag(best.covariance))))
 
 
-def _deviations(total: Sums, search: Search, best: Scored) -> Floats:
+def _deviations(search: Search, best: Scored) -> Floats:
     """(c,) standard deviations: the larger of the likelihood's and of the blocks' scatter (a sandwich)."""
     places = search.places(best)
     if not places:
         return np.zeros(0)
+    total = search.total
     scores = total.g_blocks[:, places] - np.einsum("bij,j->bi", total.M_blocks[:, places][:, :, places], best.values)
     H = best.covariance
     sandwich = H @ (scores.T @ scores) @ H

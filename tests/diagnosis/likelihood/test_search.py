@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from diagnosis.likelihood.columns import Candidates, Column, Nuisance
-from diagnosis.likelihood.evidence import IMPOSSIBLE, Search, sums
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
 from diagnosis.likelihood.gain import NoiseSlopes
 from diagnosis.likelihood.identify import identify
 from diagnosis.likelihood.problem import Information, Problem
@@ -72,7 +72,7 @@ def made_up(
 def test_evidence_is_the_ratio_of_the_gaussian_densities():
     """Nuisances and effects as covariances of one long vector: the textbook's answer."""
     problem, parts, designs, readings = made_up(np.random.default_rng(6))
-    search = Search(problem, sums(problem, parts, NO_NOISE, settled=False))
+    search = Search(problem, parts, NO_NOISE, settled=False)
     y = np.concatenate([one.ravel() for one in readings])
 
     def covariance(members: tuple[int, ...]) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_more_of_the_same_flights_makes_a_small_error_of_the_model_no_surer():
     def scored(made, times: int, member: int = 1):
         problem, parts, _, _ = made
         longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
-        return Search(longer, sums(longer, list(parts) * times, NO_NOISE, settled=False)).score((member,))
+        return Search(longer, list(parts) * times, NO_NOISE, settled=False).score((member,))
 
     gains = [scored(once, times).evidence for times in (1, 10, 100)]
     assert gains[2] - gains[1] < 0.1 * abs(gains[0]) + 0.1
@@ -119,9 +119,23 @@ def test_more_of_the_same_flights_makes_a_small_error_of_the_model_no_surer():
     np.testing.assert_allclose(scored(once, 100).values, scored(often, 100).values)
 
 
+def test_an_error_far_beyond_what_sensors_have_is_named_in_flights_of_any_length():
+    """Of the evidence only the likelihood is of trusted seconds: a bias of fifteen deviations of healthy sensors stays
+    as unlikely, and is the effect's, not the flights' own."""
+    problem, parts, _, _ = made_up(np.random.default_rng(9), 1.0)
+    column, bias = 1, 3
+    for part in parts:  # the effect is the bias of each flight, and the readings have nothing else
+        part.M[:, column], part.M[:, :, column] = part.M[:, bias], part.M[:, :, bias]
+        part.g[:] = 15 * problem.what.nuisances[0].std * part.M[:, :, bias]
+    for times in (1, 10, 100):
+        longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
+        scored = Search(longer, parts * times, NO_NOISE, settled=False).score((column,))
+        assert scored.evidence > 0.8 * len(parts) * 15**2 / 2
+
+
 def test_a_rival_makes_a_set_that_is_nearly_as_likely():
     problem, parts, _, _ = made_up(np.random.default_rng(6))
-    search = Search(problem, sums(problem, parts, NO_NOISE, settled=False))
+    search = Search(problem, parts, NO_NOISE, settled=False)
     best = search.score((1,))
     for within in (0.5, 3.0, 30.0):
         rivals = search.rivals(best, 1, within)
@@ -131,10 +145,10 @@ def test_a_rival_makes_a_set_that_is_nearly_as_likely():
 
 def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
     problem, parts, _, _ = made_up(np.random.default_rng(7))
-    total = sums(problem, parts, NO_NOISE, settled=False)
-    total.g[:] = -1e6  # a mass far below what it may be
-    assert Search(problem, total).score((0,)).evidence == IMPOSSIBLE
-    assert Search(problem, total).score((0, 0)).evidence == IMPOSSIBLE
+    search = Search(problem, parts, NO_NOISE, settled=False)
+    search.total.g[:] = -1e6  # a mass far below what it may be
+    assert search.score((0,)).evidence == IMPOSSIBLE
+    assert search.score((0, 0)).evidence == IMPOSSIBLE
 
 
 def named(problem: Problem) -> tuple[dict[str, dict[str, float]], float, dict[str, float]]:
