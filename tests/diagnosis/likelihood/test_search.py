@@ -123,9 +123,11 @@ def test_an_error_far_beyond_what_sensors_have_is_named_in_flights_of_any_length
     """Of the evidence only the likelihood is of trusted seconds: a bias of fifteen deviations of healthy sensors stays
     as unlikely, and is the effect's, not the flights' own."""
     problem, parts, _, _ = made_up(np.random.default_rng(9), 1.0)
-    column, bias = 1, 3
-    for part in parts:  # the effect is the bias of each flight, and the readings have nothing else
-        part.M[:, column], part.M[:, :, column] = part.M[:, bias], part.M[:, :, bias]
+    column, bias, large = 1, 3, 100.0
+    for part in parts:  # the effect is each flight's bias, a hundred a unit, and the readings have nothing else
+        part.M[:] *= 1e6
+        part.M[:, column], part.M[:, :, column] = large * part.M[:, bias], large * part.M[:, :, bias]
+        part.M[:, column, column] = large**2 * part.M[:, bias, bias]
         part.g[:] = 15 * problem.what.nuisances[0].std * part.M[:, :, bias]
     for times in (1, 10, 100):
         longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
