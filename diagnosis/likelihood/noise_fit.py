@@ -82,7 +82,10 @@ class Fitter:
         self.precision = np.array([1 / prior.spread**2 for prior in priors])
         self.lower = np.log([p.lower for p in parameters.values()])
         self.upper = np.log([p.upper for p in parameters.values()])
-        begin = self._start() if values is None else np.log([values[name] for name in self.names])
+        begin = self._start()
+        for place, name in enumerate(self.names):
+            if values is not None and name in values:
+                begin[place] = np.log(values[name])
         self.logs = np.clip(begin, self.lower, self.upper)
         self.use(problem.thresholds.seconds)
         self.data: list[_Data] = []
@@ -270,16 +273,19 @@ def likeliest(problem: Problem, structures: Sequence[str]) -> NoiseFit:
     if len(structures) == 1:
         return fit_noise(problem, structures[0])
     t, begun = problem.thresholds, dict(problem.references)
-    fits = []
-    for structure in structures:
+    fits: list[NoiseFit] = []
+    for structure in structures:  # they differ in the pose's errors: of all else the first one's values are near
         problem.references = dict(begun)
-        fitter = Fitter(problem, structure)
-        fits.append([_relinearised_fit(fitter, t.first_seconds, t.first_steps, None) for _ in range(2)][-1])
+        fitter = Fitter(problem, structure, fits[0].values if fits else None)
+        turns = 1 if fits else 2
+        fits.append([_relinearised_fit(fitter, t.first_seconds, t.first_steps, None) for _ in range(turns)][-1])
     best = max(fits, key=lambda fit: fit.log_likelihood)
     problem.references = begun
     return fit_noise(problem, best.structure, values=best.values)
 
 
 def structures_of(segment: Segment) -> tuple[str, ...]:
-    """The structures that a log's pose may have: motion capture's is its own, else the likelihood tells."""
-    return ("filtered pose",) if segment.pose_source == "motion_capture" else tuple(STRUCTURES)
+    """The structures that a log's pose may have; of what the log does not say the likelihood tells."""
+    captured, *estimators = STRUCTURES
+    by_source = {"motion_capture": (captured,), "estimator": tuple(estimators)}
+    return by_source.get(segment.pose_source, tuple(STRUCTURES))

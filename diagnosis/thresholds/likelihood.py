@@ -13,7 +13,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     block: s of flight whose sum is one draw of the score's scatter. [definition: longer than innovations correlate]
     first_seconds: of flight on which noise is fitted from afar. [cost]
     seconds: of flight on which it is fitted. [cost]
-    first_steps: of scoring on the first. [decisions: a dozen steps converge]
+    first_steps: of scoring on the first. [decisions: structures are then thousands apart, or alike]
     steps: the same on the second. [cost]
     converged: gain of the log-likelihood by a step that ends them. [formula: far below one]
     ridge: prior of all candidates while noise is fitted, of their own information. [formula: rounding]
@@ -31,7 +31,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     block: Positive = 2.0
     first_seconds: Positive = 15.0
     seconds: Positive = 45.0
-    first_steps: Count = 12
+    first_steps: Count = 6
     steps: Count = 6
     converged: Positive = 0.05
     ridge: Positive = 1e-4
