@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
+from diagnosis.by_likelihood import answer_by_likelihood, tells_best
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
@@ -56,14 +58,16 @@ from diagnosis.verdict import (
     missing_effects,
     not_excited,
     rejections,
+    with_gust,
 )
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
-from dynamics.progress import Progress, no_progress
+from dynamics.progress import Progress, no_progress, part_of
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights.followed import FollowedFlight
 
+Method = Literal["auto", "likelihood", "regression"]
 SEED = 3  # of an estimator's errors that are added, so that the same flights have the same answer
 
 
@@ -102,25 +106,20 @@ def diagnose_dataset(
     catalogue: Mapping[str, Effect],
     thresholds: Thresholds = DEFAULT,
     progress: Progress = no_progress,
+    method: Method = "auto",
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
-    thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
+    thresholds: all but those that are applied when flights are read. method: by which effects are searched; by default
+    the one that tells best on such logs. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    progress(0.35, "search of the effects")
-    regression, selection = search_jointly(first)
-    progress(0.55, "joint fit and acceptance")
-    present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
-    before = residuals_in(regression, present, dataset.held_out)
-    judgement = _Judgement(first, regression, selection, dataset, before)
-    accepted = accepted_fit(regression, selection, dataset)
-    progress(0.85, "tests of what remains")
-    accepted, judged = judgement.revised(accepted)
-    selection = judged.selection
-    effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
+    by_likelihood = tells_best(dataset) if method == "auto" else method == "likelihood"
+    answer = (_likeliest if by_likelihood else _by_regression)(first, dataset, part_of(progress, 0.35, 1.0))
+    regression, selection, accepted = answer.regression, answer.judged.selection, answer.accepted
+    judged, before, effects = answer.judged, answer.before, answer.effects
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
     if gain is not None:
         effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.rejected))
@@ -156,6 +155,58 @@ def diagnose_dataset(
         chi_square_after=reduced_chi_square(judged.after, regression.noise),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(regression), *_late_signals(refused)),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """The effects of one method, and what is left of the flights with them.
+
+    before: (m, 12) held-out residuals without.
+    """
+
+    regression: Regression
+    accepted: Accepted
+    judged: _Judged
+    before: list[Floats]
+    effects: tuple[MissingEffect, ...]
+
+
+def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
+    """By the likelihood. Effects with a state of their own, as a load that swings, are none of its candidates: the
+    regression names them where something is left."""
+    answer = _by_likelihood(first, dataset, part_of(progress, 0.0, 0.7))
+    if answer.judged.rejected:
+        other = _by_regression(first, dataset, part_of(progress, 0.7, 1.0))
+        hidden = any(c.effect.hidden and c.effect.rotor_speed is None for c in other.accepted.fit.candidates)
+        return other if hidden and not other.judged.rejected else answer
+    return answer
+
+
+def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
+    answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.8))
+    regression = answer.regression
+    before = residuals_in(regression, fit(regression, ()).vehicle, dataset.held_out)
+    judgement = _Judgement(first, regression, answer.selection, dataset, before)
+    progress(0.8, "tests of what remains")
+    judged = judgement.of(answer.accepted)
+    while standing_in := _standing_in(regression, answer.accepted, judged):
+        answer = answer.without(standing_in, dataset)
+        judged = judgement.of(answer.accepted)
+    effects = with_gust(answer.missing(), judged.selection) if judged.gusty else answer.missing()
+    return _Answer(regression, answer.accepted, judged, before, effects)
+
+
+def _by_regression(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
+    progress(0.0, "search of the effects")
+    regression, selection = search_jointly(first)
+    progress(0.3, "joint fit and acceptance")
+    present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
+    before = residuals_in(regression, present, dataset.held_out)
+    accepted = accepted_fit(regression, selection, dataset)
+    progress(0.75, "tests of what remains")
+    accepted, judged = _Judgement(first, regression, selection, dataset, before).revised(accepted)
+    effects = missing_effects(regression, judged.selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
+    return _Answer(regression, accepted, judged, before, effects)
 
 
 def _standing_in(regression: Regression, accepted: Accepted, judged: _Judged) -> tuple[Refused, ...]:

@@ -108,21 +108,27 @@ def missing_effects(
             MissingEffect(
                 name=candidate.effect.name,
                 rotor=candidate.rotor,
-                parameters=_parameters(accepted.fit, candidate),
+                parameters=parameters_of(accepted.fit, candidate),
                 confidence=accepted.agreement[candidate.key],
                 ambiguous_with=tuple(
                     dict.fromkeys([*near, *(_alike(search, others, candidate, taken) if is_open else ())])
                 ),
             )
         )
+    return with_gust(tuple(effects), selection) if gusty else tuple(effects)
+
+
+def with_gust(effects: tuple[MissingEffect, ...], selection: Selection) -> tuple[MissingEffect, ...]:
+    """The effects and the gust of a selection, first or second."""
     gust, before = selection.gust, selection.gust_before
-    if gusty and gust.effect is not None:
-        parameter = gust.effect.parameters[0]
-        strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
-        first = not selection.chosen.candidates or before.score > selection.chosen.score
-        air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
-        effects.insert(0 if first else min(1, len(effects)), air)
-    return tuple(effects)
+    if gust.effect is None:
+        return effects
+    parameter = gust.effect.parameters[0]
+    strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
+    first = not selection.chosen.candidates or before.score > selection.chosen.score
+    air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
+    place = 0 if first else min(1, len(effects))
+    return (*effects[:place], air, *effects[place:])
 
 
 def _takes_over(search: Search, others: Sequence[Candidate], candidate: Candidate, rival: Candidate) -> bool:
@@ -168,7 +174,7 @@ def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, ta
     return [name for name in declared if name in able | untried and name not in taken]
 
 
-def _parameters(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue]:
+def parameters_of(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue]:
     """The fitted parameters of a candidate, then those that were held."""
     fitted = {name: _value(estimate) for (key, name), estimate in accepted.estimates.items() if key == candidate.key}
     held = {

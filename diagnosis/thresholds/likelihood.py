@@ -22,6 +22,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]
     trusted: s of flight whose evidence counts, however long the flights are: no model is right to more than its share
         of each second. [decisions: calibrated on other seeds than the page's, and on its recordings]
+    named: log of the odds of the best set against that without an effect, from which on it is named; within it
+        others are as likely in its place. [convention: 20 to 1]
     max_effects: in one set. [convention]
     min_improvement: of the log-evidence, below which no step is taken. [formula: rounding ends no search]
     """
@@ -39,5 +41,6 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     settled_rounds: Count = 2
     settled_step: Positive = 0.3
     trusted: Positive = 2.0
+    named: Positive = 3.0
     max_effects: Count = 10
     min_improvement: Positive = 0.5
