@@ -6,6 +6,7 @@ Everything has a default. The lookaheads' defaults follow from the vehicle's rat
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import msgspec
 
@@ -14,6 +15,7 @@ from dynamics.errors import RequestError
 
 CONTROL_RATE = 100.0  # Hz
 CONTROL_PERIOD = 1 / CONTROL_RATE  # s
+GRID = 0.01  # s, on which nodes lie where intervals grow: a network's steps fit in whole
 MAX_NODES = 100  # the dense QP of 100 nodes has 400 variables and takes longer than any control period
 
 # setting: smallest value, largest value, unit
@@ -21,6 +23,7 @@ BOUNDS: Mapping[str, tuple[float, float, str]] = {
     "rate": (20.0, 500.0, "Hz"),
     "nodes": (2, MAX_NODES, "nodes"),
     "horizon": (0.05, 10.0, "s"),
+    "growth": (1.0, 2.0, "times the interval before"),
     "position_weight": (0.0, 1e6, "1/m^2"),
     "velocity_weight": (0.0, 1e6, "1/(m/s)^2"),
     "attitude_weight": (0.0, 1e6, "per squared quaternion component"),
@@ -45,6 +48,7 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     rate: control rate, Hz.
     nodes: shooting nodes N of the horizon.
     horizon: length of the prediction, s.
+    growth: length of each interval between nodes over the one before: 1 for equal ones. See `intervals_of`.
     position_weight: world x, y, z, 1/m^2.
     velocity_weight: world x, y, z, 1/(m/s)^2.
     attitude_weight: on quaternion components.
@@ -67,6 +71,7 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     rate: float = CONTROL_RATE
     nodes: int = 20
     horizon: float = 1.0
+    growth: float = 1.0
     position_weight: Vector3 = (60.0, 60.0, 60.0)
     velocity_weight: Vector3 = (1.0, 1.0, 1.0)
     attitude_weight: float = 8.0
@@ -94,10 +99,12 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             raise RequestError(
                 "controller.position_weight is zero in all axes: nothing would hold the vehicle's place."
             )
-        if 1 / self.rate > self.node:
+        shortest = min(intervals_of(self.horizon, self.nodes, self.growth))
+        if 1 / self.rate > shortest:
+            less = ", a smaller growth" if self.growth > 1 else ""
             raise RequestError(
                 f"controller.rate = {self.rate:g} Hz: its period of {1e3 / self.rate:.3g} ms is longer than a node of "
-                f"{1e3 * self.node:.3g} ms. Raise the rate, take fewer nodes or a longer horizon."
+                f"{1e3 * shortest:.3g} ms. Raise the rate, take fewer nodes{less} or a longer horizon."
             )
         for name in ("rate_lookahead", "yaw_lookahead", "delay"):
             value = getattr(self, name)
@@ -106,10 +113,23 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
                     f"controller.{name} = {value:g} s is beyond the horizon of {self.horizon:g} s; give at most that."
                 )
 
-    @property
-    def node(self) -> float:
-        """Length of a node, s."""
-        return self.horizon / self.nodes
+
+def intervals_of(horizon: float, nodes: int, growth: float) -> tuple[float, ...]:
+    """Lengths (N,) of the intervals between nodes, s.
+
+    Each is `growth` times the one before, so that the k-th node is at horizon (growth^k - 1) / (growth^N - 1), then
+    rounded to GRID. Equal ones are not rounded. Raises RequestError where one would be shorter than GRID.
+    """
+    if growth == 1.0:
+        return (horizon / nodes,) * nodes
+    ends = [round(horizon / GRID * (growth**k - 1) / (growth**nodes - 1)) for k in range(nodes)]
+    if any(stop <= start for start, stop in pairwise(ends)):
+        raise RequestError(
+            f"controller.growth = {growth:g}: the first of {nodes} intervals in {horizon:g} s would be shorter than "
+            f"{1e3 * GRID:g} ms. Give a smaller growth, fewer nodes or a longer horizon."
+        )
+    lengths = [GRID * (stop - start) for start, stop in pairwise(ends)]
+    return (*lengths, horizon - GRID * ends[-1])
 
 
 def _require_within(name: str, values: tuple[float, ...], lower: float, upper: float, unit: str) -> None:

@@ -68,12 +68,13 @@ def kernel_recipe(
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
-    substeps = round(problem.node / network.dt)
-    if substeps < 1 or abs(substeps * network.dt - problem.node) > 1e-9:
-        raise RequestError(
-            f"nodes of {1e3 * problem.node:g} ms are no whole number of the network's steps of "
-            f"{1e3 * network.dt:g} ms; change the horizon or the number of nodes."
-        )
+    steps = [round(interval / network.dt) for interval in problem.intervals]
+    for count, interval in zip(steps, problem.intervals, strict=True):
+        if count < 1 or abs(count * network.dt - interval) > 1e-9:
+            raise RequestError(
+                f"nodes of {1e3 * interval:g} ms are no whole number of the network's steps of "
+                f"{1e3 * network.dt:g} ms; change the horizon, the number of nodes or their growth."
+            )
     folder = resources.files("runtime.control.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES} | {STATE_HEADER: state_header()}
     sources["network.h"] = network_header(
@@ -82,7 +83,7 @@ def kernel_recipe(
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": substeps, "VECTOR_BYTES": processor.vector, "FREE": 3,
+        "STEPS": sum(steps), "VECTOR_BYTES": processor.vector, "FREE": 3,
         "NETWORK_REAL": precision, "NETWORK_INTEGER": "int" if precision == "float" else "long",
     }  # fmt: skip
     if network.residual:

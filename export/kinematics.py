@@ -50,7 +50,7 @@ def roll_out(
 
 def _by_rk4(model: ExportedModel, forward: Forward, problem: Problem, start: Floats, inputs: Floats) -> Floats:
     flown = model.flight_model
-    steps, quiet = required_steps(flown, problem.node), np.zeros(flown.hidden_count)
+    quiet = np.zeros(flown.hidden_count)
 
     def field(u: Floats, x: Floats) -> Floats:
         if model.network is None:
@@ -61,8 +61,8 @@ def _by_rk4(model: ExportedModel, forward: Forward, problem: Problem, start: Flo
         return np.concatenate([x[VELOCITY], rates[:3], turning, rates[3:]])
 
     x, states = start, [start]
-    for u in inputs:
-        x = rk4(partial(field, u), x, problem.node, steps=steps)
+    for u, interval in zip(inputs, problem.intervals, strict=True):
+        x = rk4(partial(field, u), x, interval, steps=required_steps(flown, interval))
         states.append(x)
     return np.array(states)
 
@@ -77,8 +77,8 @@ def _by_columns(
         then, hidden = np.array(columns[-length:]).T, start[HIDDEN]
         before = _rates(forward, then, hidden - h * _rates(forward, then, hidden)[6:])
     x, states = start, [start]
-    for u in inputs:
-        for _ in range(round(problem.node / h)):
+    for u, interval in zip(inputs, problem.intervals, strict=True):
+        for _ in range(round(interval / h)):
             columns.append(np.concatenate([x[:RIGID_BODY_STATES], u]))
             rates = _rates(forward, np.array(columns[-length:]).T, x[HIDDEN])
             mean = rates + (rates - before) / 2 if model.extrapolated else rates

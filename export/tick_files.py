@@ -47,6 +47,7 @@ def _vehicle_header(controller: Controller, header: str, name: str) -> str:
     words = np.frombuffer(bytes(fill_options(problem, model, controller.solver.trim)).ljust(8, b"\0"), dtype=np.uint64)
     arrays: dict[str, Floats] = {
         "hover": controller.solver.trim.rotor_speed,
+        "offsets": problem.offsets,
         "hidden": np.append(model.hidden_initial, 0.0),
         "parameters": model.parameter_values,
         "environment": ENVIRONMENT_DEFAULT,
@@ -60,7 +61,6 @@ def _vehicle_header(controller: Controller, header: str, name: str) -> str:
         f"#define ALULA_NX {model.state_count}",
         f"#define ALULA_NU {model.input_count}",
         f"#define ALULA_NODES {problem.nodes}",
-        f"#define ALULA_NODE {problem.node!r} /* s */",
         f"#define ALULA_PERIOD {options.period!r} /* s between ticks */",
         f"#define ALULA_MAX_ERROR {options.max_position_error!r} /* m */\n",
         f"static const uint64_t alula_options[] = {{{', '.join(f'{word:#x}u' for word in words.tolist())}}};",

@@ -18,11 +18,12 @@
 void *rti_create(const void *options);
 double *rti_parameters(void *solver), *rti_environment(void *solver), *rti_states(void *solver), *rti_inputs(void *solver);
 void rti_propagate(void *solver, const double *state, const double *speeds, double seconds, double *next);
-void rti_shift(void *solver, double nodes);
+void rti_shift(void *solver, double seconds);
 int rti_prepare(void *solver, const double *expected, const double *states, const double *speeds);
 int rti_feedback(void *solver, const double *state);
 
-/* reference: states that the next tick tracks, from when its command acts, a row each ALULA_NODE seconds; the caller's. */
+/* reference: states that the next tick tracks, from when its command acts, a row at each of
+ * alula_offsets, s; the caller's. */
 typedef struct {
     alula_context context;
     alula_result result;
@@ -74,7 +75,7 @@ static int alula_prepare(alula_node *node) {
     double *inputs = rti_inputs(solver), expected[ALULA_NX], error[3], distance = 0, sign = 0;
     static double reference[ALULA_NODES + 1][ALULA_NX];
     rti_propagate(solver, result->acting, inputs, ALULA_PERIOD, expected);
-    rti_shift(solver, fmin(ALULA_PERIOD / ALULA_NODE, 1));
+    rti_shift(solver, ALULA_PERIOD);
     memcpy(reference, node->reference, sizeof reference);
     for (int i = 0; i < 4; i++) sign += reference[0][6 + i] * expected[6 + i];
     for (int i = 0; i < 3; i++) error[i] = reference[0][i] - expected[i], distance += error[i] * error[i];

@@ -242,7 +242,7 @@ def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | Non
     msgspec.structs.replace(vehicle.controller, rate=rate)  # its constructor refuses what cannot be flown
     if bundle is None:
         return
-    for name in ("nodes", "horizon"):
+    for name in ("nodes", "horizon", "growth"):
         value, compiled = getattr(vehicle.controller, name), getattr(bundle.manifest.problem, name)
         if value != compiled and any(text.startswith(f"controller.{name}") for text in setup.settings):
             raise RequestError(

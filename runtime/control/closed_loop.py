@@ -9,7 +9,7 @@ eigenvalues z are poles s = log(z) / period. `benchmarks/results/closed_loop.md`
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -164,8 +164,10 @@ class LinearController:
 
 def linear_controller(model: HoverModel, options: ControllerOptions, vehicle: Vehicle) -> LinearController:
     """The controller that plans with a model. vehicle: of the model, as it hovers."""
-    problem, (A, B) = options.problem, model.over(options.problem.node)
-    gain = _regulator(A, B, options, vehicle.hover_speed)
+    problem = options.problem
+    steps = {interval: model.over(interval) for interval in set(problem.intervals)}
+    A, B = steps[problem.node]
+    gain = _regulator([steps[interval] for interval in problem.intervals], options, vehicle.hover_speed)
     turning = np.zeros((3, len(A)))
     turning[:, 9:REDUCED] = np.eye(3)
     inputs = -gain
@@ -216,19 +218,22 @@ def worst_damped(poles: Floats) -> Oscillation:
     return Oscillation(float(damping[worst]), float(fast[worst].imag / (2 * math.pi)))
 
 
-def _regulator(A: Floats, B: Floats, options: ControllerOptions, hover_speed: float) -> Floats:
-    """Feedback gain (nu, n) of the horizon's first input."""
+def _regulator(stages: Sequence[tuple[Floats, Floats]], options: ControllerOptions, hover_speed: float) -> Floats:
+    """Feedback gain (nu, n) of the horizon's first input. stages: A and B over each interval."""
     problem, weights = options.problem, options.problem.weights
+    (A, B), intervals = stages[0], problem.intervals
     attitude = [weights.attitude / 4] * 3  # a quaternion's components are half of a rotation vector's
     hidden = [0.0] * (len(A) - REDUCED)
     Q = np.diag([*weights.position, *weights.velocity, *attitude, *weights.rate, *hidden])
     regular = problem.levenberg_marquardt / (INPUT_SCALE * hover_speed) ** 2
-    R = (weights.input / hover_speed**2 + regular) * np.eye(B.shape[1])
+    R = weights.input / hover_speed**2
     cost: Floats = weights.terminal * Q
     gain: Floats = np.zeros(B.T.shape)
-    for _ in range(problem.nodes):
-        gain = np.asarray(np.linalg.solve(R + B.T @ cost @ B, B.T @ cost @ A))
-        cost = Q + A.T @ cost @ (A - B @ gain)
+    for (A, B), interval in zip(reversed(stages), reversed(intervals), strict=True):
+        share = interval / intervals[0]
+        price = (share * R + regular) * np.eye(B.shape[1])
+        gain = np.asarray(np.linalg.solve(price + B.T @ cost @ B, B.T @ cost @ A))
+        cost = share * Q + A.T @ cost @ (A - B @ gain)
         cost = np.asarray((cost + cost.T) / 2)
     return gain
 

@@ -103,8 +103,9 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         return msgspec.structs.replace(self, rate_lookahead=lookahead.rate, yaw_lookahead=lookahead.yaw)
 
     def for_kernel(self, compiled: Problem) -> ControllerOptions:
-        """Options with the nodes and horizon of a compiled kernel; in place of a default problem the kernel's own."""
-        problem = msgspec.structs.replace(self.problem, nodes=compiled.nodes, horizon=compiled.horizon)
+        """Options with the nodes and intervals of a compiled kernel; in place of a default problem the kernel's own."""
+        grid = {"nodes": compiled.nodes, "horizon": compiled.horizon, "growth": compiled.growth}
+        problem = msgspec.structs.replace(self.problem, **grid)
         return msgspec.structs.replace(self, problem=compiled if self.problem == Problem() else problem)
 
 
@@ -189,7 +190,7 @@ class Controller:
             self.health = ModelHealth(errors.get("linear", 0.0), errors.get("angular", 0.0), options.fit)
         self._acting = 0.0  # s, when the last tick's command acts
         self._thrust_constants = model.thrust_constants
-        self._offsets: Floats = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
+        self._offsets = options.problem.offsets
         trim = self.solver.trim
         self.trim = trim.vehicle
         self._hover, self._shares = trim.rotor_speed, trim.shares  # rad/s; of the hover speed, by rotor
@@ -245,7 +246,7 @@ class Controller:
             self.options, rate_lookahead=options.rate_lookahead, yaw_lookahead=options.yaw_lookahead
         )
         self._lead: Floats = lookahead  # s
-        self._lookahead: Floats = lookahead / self.options.problem.node  # in nodes
+        self._lookahead: Floats = lookahead / self.options.problem.node  # in intervals as the first
 
     @property
     def is_learned(self) -> bool:

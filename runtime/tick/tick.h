@@ -68,7 +68,7 @@ typedef struct {
     double vehicle_curve;                 /* thrust over signal, of the vehicle file */
     double autopilot_curve;               /* THR_MDL_FAC */
     double thrust_constants[ALULA_ROTORS]; /* N s^2/rad^2 */
-    double node;                          /* s between the solver's nodes */
+    double node;                          /* s between the solver's first two nodes */
     double max_step;                      /* s that the model is propagated in one piece */
     double delay;                         /* s from a command's departure to its action */
     double lead[3];                       /* s along the slope of the rates at which setpoints are read */

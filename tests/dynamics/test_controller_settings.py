@@ -1,10 +1,11 @@
 """[controller] of a vehicle file: derived defaults, refusals, and the way to the file and back."""
 
 import msgspec
+import numpy as np
 import pytest
 
 from dynamics.controller_defaults import lookaheads
-from dynamics.controller_settings import ControllerSettings
+from dynamics.controller_settings import GRID, ControllerSettings, intervals_of
 from dynamics.errors import RequestError
 from dynamics.rate_loop import rate_loop
 from dynamics.vehicle import EffectUse, Vehicle
@@ -88,3 +89,23 @@ def test_slower_motors_are_looked_further_ahead_unless_the_file_has_lookaheads(a
 def test_a_vehicle_that_cannot_yaw_is_looked_ahead_no_further_than_the_horizon(arpl_250g: Vehicle) -> None:
     rotors = msgspec.structs.replace(arpl_250g.rotors, torque_constant=0.0)
     assert lookaheads(msgspec.structs.replace(arpl_250g, rotors=rotors)).yaw == ControllerSettings().horizon
+
+
+@pytest.mark.parametrize(("nodes", "horizon", "growth"), [(10, 1.0, 1.2), (10, 0.7, 1.15), (5, 0.305, 1.6)])
+def test_intervals_that_grow_lie_on_the_grid_and_fill_the_horizon(nodes: int, horizon: float, growth: float) -> None:
+    intervals = np.array(intervals_of(horizon, nodes, growth))
+    assert intervals.sum() == pytest.approx(horizon, abs=1e-12)
+    np.testing.assert_allclose(intervals[:-1] / GRID, np.round(intervals[:-1] / GRID), atol=1e-9)
+    ends = horizon * (growth ** np.arange(1, nodes + 1) - 1) / (growth**nodes - 1)
+    np.testing.assert_allclose(np.cumsum(intervals), ends, atol=GRID / 2 + 1e-9)
+
+
+def test_a_growth_of_one_gives_equal_intervals_to_the_bit() -> None:
+    assert intervals_of(0.7, 10, 1.0) == (0.7 / 10,) * 10
+
+
+def test_a_first_interval_shorter_than_a_period_is_refused(arpl_250g: Vehicle) -> None:
+    with pytest.raises(RequestError, match="longer than a node of 20 ms"):
+        with_settings(arpl_250g, ["controller.rate=40", "controller.growth=1.3", "controller.nodes=10"])
+    with pytest.raises(RequestError, match=r"growth = 2: the first of 20 intervals in 1 s would be shorter than 10 ms"):
+        with_settings(arpl_250g, ["controller.growth=2"])

@@ -8,6 +8,7 @@ import pytest
 
 import vehicles
 from dynamics import quaternion
+from dynamics.errors import RequestError
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import EffectUse, Limits
@@ -34,6 +35,7 @@ HEXAROTOR = msgspec.structs.replace(
 )
 VEHICLES = {vehicle.rotors.count: vehicle for vehicle in (VEHICLE, HEXAROTOR)}
 SHORT = Problem(nodes=5, horizon=0.25)
+GROWING = Problem(nodes=5, horizon=0.3, growth=1.5)
 LAG_AND_DRAG = [EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("linear_drag", {"coefficient": 0.05})]
 CASES = {
     "body": (random_network(), []),
@@ -147,13 +149,14 @@ def test_accelerations_are_those_of_plain_numpy(case: str, precision: Precision,
         assert np.linalg.norm(computed - expected) < tolerance * np.linalg.norm(expected)
 
 
-def test_a_streamed_roll_out_is_that_of_whole_windows() -> None:
-    solver, state = solver_of("body", "double")
+@pytest.mark.parametrize("problem", [SHORT, GROWING], ids=["equal", "growing"])
+def test_a_streamed_roll_out_is_that_of_whole_windows(problem: Problem) -> None:
+    solver, state = solver_of("body", "double", problem)
     network, _ = CASES["body"]
     columns, x, h = list(window(network)[:-1]), state, network.dt
     expected = [x]
-    for k in range(SHORT.nodes):
-        for _ in range(5):
+    for k, interval in enumerate(problem.intervals):
+        for _ in range(round(interval / h)):
             columns.append(np.concatenate([x, solver.inputs[k]]))
             rates = accelerations(network, np.array(columns[-network.receptive_field :]))
             turn = h * (x[10:13] + h / 2 * rates[3:])
@@ -181,27 +184,45 @@ def test_a_residual_is_added_to_the_mean_accelerations_of_the_model(case: str) -
 
 
 @pytest.mark.parametrize(
-    ("case", "precision", "tolerance"),
-    [(case, "double", 1e-6) for case in (*CASES, *INSTANTANEOUS)]
-    + [("body", "float", 2e-4), ("residual on lag and drag", "float", 2e-4)],
+    ("case", "precision", "tolerance", "problem"),
+    [(case, "double", 1e-6, SHORT) for case in (*CASES, *INSTANTANEOUS)]
+    + [(case, "float", 2e-4, SHORT) for case in ("body", "residual on lag and drag")]
+    + [(case, "double", 1e-6, GROWING) for case in ("body", "one column", "residual on lag and drag")],
 )
 def test_hessian_and_gradient_are_gauss_newtons_of_the_roll_out(
-    case: str, precision: Precision, tolerance: float
+    case: str, precision: Precision, tolerance: float, problem: Problem
 ) -> None:
-    exact, state = solver_of(case, "double")
+    exact, state = solver_of(case, "double", problem)
     by_input, _ = by_input_and_state(exact, state)
     states = rolled_out(exact, state)
-    options = fill_options(SHORT, exact.model)
-    weight = np.array([list(options.Q)] * (SHORT.nodes - 1) + [list(options.P)]).ravel()
+    options = fill_options(problem, exact.model)
+    shares = np.array(problem.intervals) / problem.node
+    weight = np.array([*(share * np.array(list(options.Q)) for share in shares[1:]), list(options.P)]).ravel()
+    by_stage = np.repeat(shares, exact.model.input_count)
     jacobian = options.scale * by_input
     hessian = jacobian.T @ (weight[:, None] * jacobian)
-    hessian += np.eye(len(hessian)) * (options.R[0] * options.scale**2 + options.levenberg_marquardt)
+    hessian += np.diag(by_stage * options.R[0] * options.scale**2 + options.levenberg_marquardt)
     gradient = jacobian.T @ (weight * (states - exact.state_reference)[1:].ravel())
-    gradient += options.scale * options.R[0] * (exact.inputs - exact.input_reference).ravel()
-    solver, _ = solver_of(case, precision)
+    gradient += by_stage * options.scale * options.R[0] * (exact.inputs - exact.input_reference).ravel()
+    solver, _ = solver_of(case, precision, problem)
     solver.prepare(state)
     np.testing.assert_allclose(solver.hessian, hessian, rtol=0, atol=tolerance * np.abs(hessian).max())
     np.testing.assert_allclose(solver.gradient, gradient, rtol=0, atol=tolerance * np.abs(gradient).max())
+
+
+def test_a_kernel_refuses_intervals_that_it_was_not_built_for() -> None:
+    network, _ = CASES["one column"]
+    model = build_model(VEHICLE, effects=[])
+    library = build_kernel(kernel_recipe(network, model, SHORT, native_processor(), "double"))
+    with pytest.raises(RequestError, match="other intervals"):
+        RtiSolver(model, GROWING, library)
+
+
+def test_intervals_that_a_networks_steps_do_not_fill_are_refused() -> None:
+    network, _ = CASES["one column"]
+    model = build_model(VEHICLE, effects=[])
+    with pytest.raises(RequestError, match="45 ms are no whole number"):
+        kernel_recipe(network, model, Problem(nodes=2, horizon=0.09), native_processor())
 
 
 @pytest.mark.parametrize("streamed_layers", range(5))

@@ -14,8 +14,8 @@
 #include <stdlib.h>
 #include <time.h>
 
-/* Required from the including file: NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, columns of its past;
- * SENSITIVITY, the type of S; START, the column of dx_0's first entry; X0, the first column of v_0. */
+/* Required from the including file: NX, NU, NODES, NP, NE, VECTOR_BYTES; HISTORY, columns of its past; STEPS of the
+ * network in the horizon, 0 without one; SENSITIVITY, the type of S; START, the column of dx_0's first entry; X0, the first column of v_0. */
 #define NV (NODES * NU)
 #define LANES_OF(type) (VECTOR_BYTES / (int)sizeof(type))
 #define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
@@ -35,8 +35,10 @@
 typedef struct {
     double Q[NX], P[NX], R[NU];
     double u_lower[NU], u_upper[NU], x_lower[NX], x_upper[NX];
-    double thrust_constant[NU], thrust_lower, thrust_upper; /* of each rotor, N s^2/rad^2; of all, N */
-    double node, scale, levenberg_marquardt, tolerance, penalty;
+    double thrust_constant[NU];        /* of each rotor, N s^2/rad^2 */
+    double interval[NODES];            /* between nodes, s */
+    double thrust_lower, thrust_upper; /* of all rotors, N */
+    double scale, levenberg_marquardt, tolerance, penalty;
     int iterations, preparation_iterations;
 } rti_options;
 
@@ -56,6 +58,7 @@ typedef struct {
     flight_filter filter;
     double disturbance[DISTURBANCE]; /* accelerations that stay, those that fade, rates of fading, 1/s */
     rti_options options;
+    double share[NODES + 1]; /* of the cost, by stage: as the intervals are to the first; 1 of the last node */
     rti_report report;
     bool prepared;
     int bounded[NX + 1], quantities; /* those with bounds: states, then NX for collective thrust */
@@ -89,6 +92,8 @@ static bool is_bounded(const condensed *r, int i) {
 static void condensed_create(condensed *r, const rti_options *options) {
     r->options = *options;
     r->soft.penalty = options->penalty;
+    for (int k = 0; k < NODES; k++) r->share[k] = options->interval[k] / options->interval[0];
+    r->share[NODES] = 1;
     for (int i = 0; i <= NX; i++)
         if (is_bounded(r, i)) r->bounded[r->quantities++] = i;
     r->soft.count = ROUND_TO(NODES * r->quantities, BOX_LANES); /* the last ones are empty */
@@ -143,7 +148,7 @@ int rti_filter_compare(condensed *r, const double *before, const double *change,
 
 /* Dimensions for the loader to compare with its own. */
 void rti_dimensions(int *dimensions) {
-    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options),
+    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, STEPS, VECTOR_BYTES, (int)sizeof(rti_options),
                          (int)sizeof(filter_options), SOFT, (int)sizeof(last_setpoint_model)};
     memcpy(dimensions, built, sizeof built);
 }
@@ -175,10 +180,13 @@ static bool condensed_begin(condensed *r, const double *x, const double *x_refer
     return true;
 }
 
-/* Move the inputs by a part of a node towards the horizon's end, as time does between two ticks. */
-void rti_shift(condensed *r, double part) {
-    for (int k = 0; k + 1 < NODES; k++)
+/* Move the inputs by some seconds towards the horizon's end, as time does between two ticks: each becomes the mean, over
+ * its interval, of the inputs that are constant over theirs. No farther than the next interval. */
+void rti_shift(condensed *r, double seconds) {
+    for (int k = 0; k + 1 < NODES; k++) {
+        const double part = fmin(seconds / r->options.interval[k], 1);
         for (int j = 0; j < NU; j++) r->u[k][j] += part * (r->u[k + 1][j] - r->u[k][j]);
+    }
 }
 
 /* Change of state i at node k under the step z; sums side by side, so that additions do not wait. */

@@ -8,7 +8,7 @@
  * network.h, generated from the model, has dimensions and weights; condensed.h what follows a preparation. */
 #include "network.h"
 
-/* NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build; FREE is 3 where nothing depends on position. */
+/* NX, NU, NODES, STEPS, NP, NE, VECTOR_BYTES come from the build; FREE is 3 where nothing depends on position. */
 typedef NETWORK_REAL real;
 #define SENSITIVITY real
 #define LEAD (FREE ? VECTOR_BYTES / (int)sizeof(real) : 0) /* first column of those that are streamed */
@@ -20,7 +20,6 @@ typedef NETWORK_REAL real;
 
 #define STREAMED (LD_S - LEAD) /* columns of tangents that are streamed: without those of a free position */
 #define BY_INPUT (NX - FREE)   /* the first of them that belongs to an input */
-#define STEPS (NODES * SUBSTEPS)
 #define COLUMNS (HISTORY + STEPS)
 #define STATE_FEATURES (FEATURES - NU)
 #define HIDDEN_STATES (NX - RIGID_BODY_STATES)
@@ -46,6 +45,7 @@ typedef NETWORK_REAL real;
 
 typedef struct {
     condensed ocp;
+    int node_of[STEPS], first_of[NODES + 1]; /* the node in which a substep is, and the first substep of a node */
     double history[HISTORY + 1][COLUMN_ENTRIES]; /* measured, oldest first; the row after them is not used */
     double p[NP + 1], e[NE + 1];
     double state[STEPS + 1][NX], input[STEPS][NU];
@@ -227,8 +227,8 @@ static void begin(network *r, const double *x) {
 static void roll_out(network *r) {
     condensed *c = &r->ocp;
     begin(r, c->x[0]);
-    for (int s = 0; s < STEPS; s++) advance(r, s, c->u[s / SUBSTEPS], STEP_SECONDS, r->state[s + 1]);
-    for (int k = 1; k <= NODES; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
+    for (int s = 0; s < STEPS; s++) advance(r, s, c->u[r->node_of[s]], STEP_SECONDS, r->state[s + 1]);
+    for (int k = 1; k <= NODES; k++) memcpy(c->x[k], r->state[r->first_of[k]], sizeof c->x[k]);
 }
 
 #include "reverse_split.h"
@@ -245,9 +245,24 @@ static void roll_out(network *r) {
                 r->by_own_input[tap][o][i] = (real)(options->scale * feature_gain[STATE_FEATURES + i]) * *weight; \
             }
 
+/* Which substeps each interval takes; false where they are not the STEPS of the build. */
+static bool place_nodes(network *r) {
+    int s = 0;
+    for (int k = 0; k < NODES; k++) {
+        const int end = s + (int)lround(r->ocp.options.interval[k] / STEP_SECONDS);
+        if (end <= s || end > STEPS) return false;
+        r->first_of[k] = s;
+        for (; s < end; s++) r->node_of[s] = k;
+    }
+    r->first_of[NODES] = s;
+    return s == STEPS;
+}
+
+/* Returns a null pointer for intervals that the build is not for. */
 network *rti_create(const rti_options *options) {
     network *r = aligned_zeros(sizeof *r);
     condensed_create(&r->ocp, options);
+    if (!place_nodes(r)) return free(r), NULL;
     for (int k = 0; k <= NODES; k++)
         for (int i = 0; i < FREE; i++) r->ocp.S[k][i][START + i] = 1; /* d position / d initial position */
     for (int i = 0; i < NX; i++) r->ocp.S[0][i][START + i] = 1;

@@ -7,6 +7,7 @@ effects and the same nodes. What else a controller must know of a vehicle with e
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -20,7 +21,7 @@ from dynamics.decoding import decode_json
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
-from dynamics.integrators import steps_within
+from dynamics.integrators import longest_step
 from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
@@ -70,10 +71,11 @@ def solver_library(model: FlownModel, problem: Problem) -> Path:
 def prebuilt_path(
     folder: Path, processor: Processor, effects: Sequence[ActiveEffect], vehicle: Vehicle, problem: Problem
 ) -> Path:
-    """Where the solver for as many rotors, these effects and nodes is, if it was built."""
-    substeps = steps_within(time_constants(effects), problem.node)
+    """Where the solver for as many rotors, these effects and nodes is, if it was built; for intervals of any length."""
+    longest = longest_step(time_constants(effects))
     parts = [processor.name, f"{vehicle.rotors.count}_rotors", *(item.key for item in effects)]
-    return folder / processor.machine / f"{'-'.join(parts)}-{problem.nodes}x{substeps}.so"
+    steps = f"-{1e3 * longest:g}ms" if math.isfinite(longest) else ""
+    return folder / processor.machine / f"{'-'.join(parts)}-{problem.nodes}{steps}.so"
 
 
 def facts_key(vehicle: Vehicle) -> str:

@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from dynamics.arrays import Vector3
-from dynamics.controller_settings import ControllerSettings
+from dynamics.arrays import Floats, Vector3
+from dynamics.controller_settings import ControllerSettings, intervals_of
 from dynamics.state import POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.trim import Trim
 from runtime.control.kernel_model import FlownModel, trim_of
@@ -46,6 +47,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     nodes: N.
     horizon: s.
+    growth: length of each interval over the one before, 1 for equal ones.
     levenberg_marquardt: added to the Hessian's diagonal.
     tolerance: of the quadratic program's optimality.
     iterations: at most.
@@ -56,6 +58,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     nodes: int = DEFAULTS.nodes
     horizon: float = DEFAULTS.horizon
+    growth: float = DEFAULTS.growth
     weights: Weights = Weights()
     levenberg_marquardt: float = DEFAULTS.levenberg_marquardt
     tolerance: float = DEFAULTS.tolerance
@@ -78,6 +81,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return cls(
             nodes=settings.nodes,
             horizon=settings.horizon,
+            growth=settings.growth,
             weights=weights,
             levenberg_marquardt=settings.levenberg_marquardt,
             tolerance=settings.tolerance,
@@ -88,19 +92,31 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         )
 
     @property
+    def intervals(self) -> tuple[float, ...]:
+        """(N,) lengths of the intervals between nodes, s. Stage k weighs intervals[k] / intervals[0] times the cost."""
+        return intervals_of(self.horizon, self.nodes, self.growth)
+
+    @property
     def node(self) -> float:
-        """Length of a node, s."""
-        return self.horizon / self.nodes
+        """Length of the first interval, s."""
+        return self.intervals[0]
+
+    @property
+    def offsets(self) -> Floats:
+        """(N + 1,) times of the nodes after the first, s."""
+        if self.growth == 1.0:
+            return self.node * np.arange(self.nodes + 1, dtype=np.float64)
+        return np.concatenate([[0.0], np.cumsum(self.intervals)])
 
 
-def options_struct(states: int, inputs: int) -> type[ctypes.Structure]:
-    """The C struct rti_options (condensed.h) for a number of states and inputs."""
+def options_struct(states: int, inputs: int, nodes: int) -> type[ctypes.Structure]:
+    """The C struct rti_options (condensed.h) for a number of states, inputs and nodes."""
     d = ctypes.c_double
     vectors = {"Q": states, "P": states, "R": inputs, "u_lower": inputs, "u_upper": inputs}
     fields: list[tuple[str, Any]] = [(name, d * size) for name, size in vectors.items()]
     fields += [("x_lower", d * states), ("x_upper", d * states), ("thrust_constant", d * inputs)]
-    names = ("thrust_lower", "thrust_upper", "node", "scale", "levenberg_marquardt", "tolerance")
-    fields += [(name, d) for name in (*names, "penalty")]
+    names = ("thrust_lower", "thrust_upper", "scale", "levenberg_marquardt", "tolerance")
+    fields += [("interval", d * nodes), *((name, d) for name in (*names, "penalty"))]
     fields += [("iterations", ctypes.c_int), ("preparation_iterations", ctypes.c_int)]
     return type("RtiOptions", (ctypes.Structure,), {"_fields_": fields})
 
@@ -111,7 +127,7 @@ def fill_options(problem: Problem, model: FlownModel, trim: Trim | None = None) 
     hover_speed = (trim or trim_of(model)).vehicle.hover_speed
     states, inputs = model.state_count, model.input_count
     hidden = [0.0] * (states - RIGID_BODY_STATES)
-    options = options_struct(states, inputs)()
+    options = options_struct(states, inputs, problem.nodes)()
     stage = [*weights.position, *weights.velocity, *[weights.attitude] * 4, *weights.rate, *hidden]
     options.Q[:] = stage
     options.P[:] = [weights.terminal * weight for weight in stage]
@@ -126,7 +142,7 @@ def fill_options(problem: Problem, model: FlownModel, trim: Trim | None = None) 
     options.x_lower[:], options.x_upper[:] = lower, upper
     options.thrust_lower, options.thrust_upper = vehicle.limits.thrust or (-math.inf, math.inf)
     options.thrust_constant[:] = model.thrust_constants
-    options.node, options.scale = problem.node, INPUT_SCALE * hover_speed
+    options.interval[:], options.scale = problem.intervals, INPUT_SCALE * hover_speed
     options.levenberg_marquardt, options.tolerance = problem.levenberg_marquardt, problem.tolerance
     options.penalty = problem.soft_penalty
     options.iterations, options.preparation_iterations = problem.iterations, problem.preparation_iterations

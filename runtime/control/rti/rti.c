@@ -11,12 +11,15 @@
  * The Hessian follows from a backward recursion, W_N = P S_N, W_k = Q S_k + A_k' W_{k+1}; its rows are
  *   H_k = SCALE B_k' W_{k+1} + R SCALE^2 (and the same columns for dx_0 carry the feedback of the initial state),
  * its right-hand side from the adjoint l_N = P (x_N - r_N), l_k = Q (x_k - r_k) + A_k' l_{k+1}. Columns lie along
- * the vector registers. Only the first columns of S_k are not zero, so stage k computes only those. */
+ * the vector registers. Only the first columns of S_k are not zero, so stage k computes only those.
+ *
+ * Intervals h_k between nodes may differ: stage k then weighs Q and R times h_k / h_0. */
 
-/* NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build. */
+/* NX, NU, NODES, NP, NE, LONGEST_STEP of RK4, s, VECTOR_BYTES come from the build. */
 #define SENSITIVITY double
 #define START 0
 #define HISTORY 0
+#define STEPS 0
 #define X0 ROUND_TO(NX, LANES_OF(double)) /* columns of dx_0, padded */
 #include "condensed.h"
 
@@ -58,9 +61,14 @@ rti *rti_create(const rti_options *options) {
 double *rti_parameters(rti *r) { return r->p; }
 double *rti_environment(rti *r) { return r->e; }
 
+/* RK4 steps over some seconds. */
+static int substeps_of(double seconds) {
+    return isfinite(LONGEST_STEP) ? (int)fmax(1, ceil(seconds / LONGEST_STEP)) : 1;
+}
+
 /* Contribution of the disturbance to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A
  * substep is these, the model, and these again (Strang splitting): second order, and a constant in every derivative. */
-static void half_kick(const rti *r, int s, double dt, double *kick) {
+static void half_kick(const rti *r, double s, double dt, double *kick) {
     disturbance_at(&r->ocp, (s + 0.5) * dt, kick);
     for (int i = 0; i < AXES; i++) kick[i] *= 0.5 * dt;
 }
@@ -69,11 +77,12 @@ static void push(double *x, const double *kick) {
     for (int i = 0; i < 3; i++) x[VELOCITY + i] += kick[i], x[RATE + i] += kick[3 + i];
 }
 
-/* The model over dt seconds, at most a node, for the age of an estimate and the state expected at the next tick. */
+/* The model over dt seconds, for the age of an estimate and the state expected at the next tick. */
 void rti_propagate(rti *r, const double *x, const double *u, double dt, double *next) {
-    double from[NX], kick[AXES], step = dt / SUBSTEPS;
+    const int substeps = substeps_of(fmax(dt, r->ocp.options.interval[0]));
+    double from[NX], kick[AXES], step = dt / substeps;
     memcpy(next, x, sizeof from);
-    for (int s = 0; s < SUBSTEPS; s++) {
+    for (int s = 0; s < substeps; s++) {
         memcpy(from, next, sizeof from);
         half_kick(r, s, step, kick);
         push(from, kick);
@@ -315,21 +324,25 @@ static void compose(const double *left, const double *in, double *out, int colum
         }
 }
 
-/* Roll the model out along the inputs, with the Jacobians of every node; a node may take several RK4 steps. */
+/* Roll the model out along the inputs, with the Jacobians of every node; a node may take several RK4 steps. begun: of the
+ * node's own steps, those that the time before it would take. */
 static void linearise(rti *r) {
     double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], kick[AXES];
-    double dt = r->ocp.options.node / SUBSTEPS;
-    for (int k = 0; k < NODES; k++) {
+    double dt = 0, begun = 0;
+    for (int k = 0, substeps = 0; k < NODES; k++) {
+        const double passed = begun + substeps, last = dt;
+        substeps = substeps_of(r->ocp.options.interval[k]);
+        dt = r->ocp.options.interval[k] / substeps, begun = passed * (last / dt);
         memcpy(x, r->ocp.x[k], sizeof x);
-        half_kick(r, k * SUBSTEPS, dt, kick);
+        half_kick(r, begun, dt, kick);
         push(x, kick);
         const double *arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
         double *res[NODE_RES] = {r->ocp.x[k + 1], r->A[k], r->B[k]};
         NODE(arg, res, r->iw, r->w, 0);
         push(r->ocp.x[k + 1], kick);
-        for (int s = 1; s < SUBSTEPS; s++) {
+        for (int s = 1; s < substeps; s++) {
             memcpy(x, r->ocp.x[k + 1], sizeof x);
-            half_kick(r, k * SUBSTEPS + s, dt, kick);
+            half_kick(r, begun + s, dt, kick);
             push(x, kick);
             const double *next_arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
             double *next_res[NODE_RES] = {r->ocp.x[k + 1], A, B};
@@ -374,7 +387,7 @@ static void weigh(rti *r, int k, const double *weight, double W[NX][LD_S], bool 
     int columns = columns_of(k);
     for (int i = 0; i < NX; i++)
         for (int c = 0; c < columns; c += LANES_PER_VECTOR) {
-            lanes term = weight[i] * *(lanes *)&r->ocp.S[k][i][c];
+            lanes term = r->ocp.share[k] * weight[i] * *(lanes *)&r->ocp.S[k][i][c];
             *(lanes *)&W[i][c] = add ? *(lanes *)&W[i][c] + term : term;
         }
 }
@@ -394,7 +407,7 @@ static void hessian_rows(rti *r, int k, double W[NX][LD_S]) {
         int v = k * NU + j;
         memcpy(r->ocp.G[v], row, sizeof(double) * NX);
         for (int i = 0; i <= v; i++) r->ocp.H[v * NV + i] = r->ocp.H[i * NV + v] = row[X0 + i];
-        r->ocp.H[v * NV + v] += options->R[j] * options->scale * options->scale + options->levenberg_marquardt;
+        r->ocp.H[v * NV + v] += r->ocp.share[k] * options->R[j] * options->scale * options->scale + options->levenberg_marquardt;
     }
 }
 
@@ -403,12 +416,12 @@ static void gradient(rti *r) {
     for (int i = 0; i < NX; i++) adjoint[i] = r->ocp.options.P[i] * (r->ocp.x[NODES][i] - r->ocp.x_reference[NODES][i]);
     for (int k = NODES - 1; k >= 0; k--) {
         for (int j = 0; j < NU; j++) {
-            double sum = r->ocp.options.R[j] * (r->ocp.u[k][j] - r->ocp.u_reference[k][j]);
+            double sum = r->ocp.share[k] * r->ocp.options.R[j] * (r->ocp.u[k][j] - r->ocp.u_reference[k][j]);
             for (int i = 0; i < NX; i++) sum += r->B[k][j * NX + i] * adjoint[i];
             r->ocp.g[k * NU + j] = r->ocp.options.scale * sum;
         }
         for (int i = 0; i < NX; i++) {
-            before[i] = r->ocp.options.Q[i] * (r->ocp.x[k][i] - r->ocp.x_reference[k][i]);
+            before[i] = r->ocp.share[k] * r->ocp.options.Q[i] * (r->ocp.x[k][i] - r->ocp.x_reference[k][i]);
             for (int c = 0; c < NX; c++) before[i] += r->A[k][i * NX + c] * adjoint[c];
         }
         memcpy(adjoint, before, sizeof adjoint);

@@ -29,7 +29,7 @@ KERNEL_DIMENSIONS = (
     "parameters",
     "environment",
     "history",
-    "substeps",
+    "steps",
     "vector_bytes",
     "options_bytes",
     "filter_bytes",
@@ -128,6 +128,8 @@ class RtiSolver:
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
         self._declare()
         self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
+        if not self._handle:
+            raise RequestError(f"the kernel {library} was built for other intervals. Export the model again.")
         nodes, states, inputs = problem.nodes, model.state_count, model.input_count
         self.states = self._view("rti_states", (nodes + 1, states))
         self.inputs = self._view("rti_inputs", (nodes, inputs))
@@ -346,7 +348,7 @@ class RtiSolver:
 
     def shift(self, seconds: float) -> None:
         """Move the predicted inputs by the time that passes between two ticks."""
-        self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
+        self._code.rti_shift(self._handle, seconds)
 
     def prepare(self, expected: NDArray[np.float64]) -> int:
         """Linearise and condense at the state (nx,) expected at the next tick, with the references as they are set.

@@ -32,7 +32,7 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
     for (int q = 0; q < mine->count; q++) active[q] = out[mine->index[q]];
     multiply(mine->count, count, rows, weights, columns, active);
     for (int tap = 0; layer == 0 && tap < taps && s - tap * dilation >= 0; tap++) {
-        const int first = BY_INPUT + NU * ((s - tap * dilation) / SUBSTEPS);
+        const int first = BY_INPUT + NU * r->node_of[s - tap * dilation];
         for (int q = 0; q < mine->count; q++) /* a node's own inputs: identities, so their columns are the weights */
             add_own_inputs(active[q] + first, r->by_own_input[tap][mine->index[q]]);
     }
@@ -92,7 +92,7 @@ static void stream_net_out(network *r, int s, int columns) {
     block_row(6, count, rows, weights, CODE, 0, columns, out);
 #if STREAMED_LAYERS == 0
     for (int b = 0; b < CODE_OFFSETS && offsets_code[b] <= s; b++) {
-        const int first = BY_INPUT + NU * ((s - offsets_code[b]) / SUBSTEPS);
+        const int first = BY_INPUT + NU * r->node_of[s - offsets_code[b]];
         for (int i = 0; i < NU; i++)
             for (int o = 0; o < 6; o++)
                 out[o][first + i] += (real)(r->ocp.options.scale * feature_gain[STATE_FEATURES + i]) *
@@ -104,7 +104,7 @@ static void stream_net_out(network *r, int s, int columns) {
 /* Tangents of the nominal or identified model's accelerations. */
 static void stream_physics(network *r, int s, int columns) {
 #if RESIDUAL
-    const int first = BY_INPUT + NU * (s / SUBSTEPS);
+    const int first = BY_INPUT + NU * r->node_of[s];
     const real *rows[NX], *weights[NX];
     real by_state[NX][6], *out[6];
     for (int i = FREE; i < NX; i++) {
@@ -166,7 +166,7 @@ static void stream_hidden(network *r, int s, int columns) {
     multiply(HIDDEN_STATES, NX - FREE, rows, weights, columns, out);
     for (int o = 0; o < HIDDEN_STATES; o++)
         for (int i = 0; i < NU; i++)
-            out[o][BY_INPUT + NU * (s / SUBSTEPS) + i] +=
+            out[o][BY_INPUT + NU * r->node_of[s] + i] +=
                 (real)(r->ocp.options.scale * r->by_input[s][i * PHYSICS_RATES + 6 + o]);
 #else
     (void)r, (void)s, (void)columns;
@@ -236,7 +236,7 @@ static void stream_tangents(network *r) {
 #endif
     for (int i = FREE; i < NX; i++) r->tangents.moving[i][i - FREE] = 1;
     for (int s = 0; s < STEPS; s++) {
-        const int node = s / SUBSTEPS, columns = columns_at(node);
+        const int node = r->node_of[s], columns = columns_at(node);
         real(*into[STREAMED_LAYERS + 1])[STREAMED];
         EACH_STREAMED(PLACE)
         into[STREAMED_LAYERS] = r->tangents.code[s % CODE_SPAN];
@@ -249,7 +249,7 @@ static void stream_tangents(network *r) {
         extrapolate_rows(HIDDEN_STATES, columns, r->tangents.other, r->tangents.other_before);
 #endif
         stream_motion(r, s, columns);
-        if (s % SUBSTEPS == SUBSTEPS - 1)
+        if (s + 1 == r->first_of[node + 1])
             for (int i = 0; i < NX; i++)
                 memcpy(&r->ocp.S[node + 1][i][LEAD], r->tangents.moving[i], sizeof(real) * (size_t)columns);
     }
@@ -261,7 +261,7 @@ static void weigh(network *r) {
         for (int i = 0; i < NX; i++)
             for (int c = 0; c < columns_at(k); c += LANES)
                 *(vector *)&r->tangents.S_weighed[k][i][LEAD + c] =
-                    (real)weight[i] * *(vector *)&r->ocp.S[k + 1][i][LEAD + c];
+                    (real)(r->ocp.share[k + 1] * weight[i]) * *(vector *)&r->ocp.S[k + 1][i][LEAD + c];
     }
 }
 
@@ -281,7 +281,7 @@ static void hessian(network *r) {
     const rti_options *options = &r->ocp.options;
     for (int v = 0; v < NV; v++) {
         for (int w = 0; w <= v; w++) r->ocp.H[v * NV + w] = r->ocp.H[w * NV + v] = r->tangents.H[v][BY_INPUT + w];
-        r->ocp.H[v * NV + v] += options->R[v % NU] * options->scale * options->scale + options->levenberg_marquardt;
+        r->ocp.H[v * NV + v] += r->ocp.share[v / NU] * options->R[v % NU] * options->scale * options->scale + options->levenberg_marquardt;
         for (int i = FREE; i < NX; i++) r->ocp.G[v][i] = r->tangents.H[v][i - FREE];
         for (int i = 0; i < FREE; i++) {
             r->ocp.G[v][i] = 0;
@@ -293,10 +293,10 @@ static void hessian(network *r) {
 static void gradient(network *r) {
     condensed *c = &r->ocp;
     for (int v = 0; v < NV; v++)
-        c->g[v] = c->options.scale * c->options.R[v % NU] * (c->u[v / NU][v % NU] - c->u_reference[v / NU][v % NU]);
+        c->g[v] = c->share[v / NU] * c->options.scale * c->options.R[v % NU] * (c->u[v / NU][v % NU] - c->u_reference[v / NU][v % NU]);
     for (int k = 1; k <= NODES; k++)
         for (int i = 0; i < NX; i++) {
-            const double error = (k == NODES ? c->options.P : c->options.Q)[i] * (c->x[k][i] - c->x_reference[k][i]);
+            const double error = c->share[k] * (k == NODES ? c->options.P : c->options.Q)[i] * (c->x[k][i] - c->x_reference[k][i]);
             for (int v = 0; v < k * NU; v++) c->g[v] += error * (double)c->S[k][i][X0 + v];
         }
 }

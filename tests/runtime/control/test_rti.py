@@ -18,9 +18,11 @@ from dynamics.vehicle import EffectUse, Limits, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.rti import solver as rti_solver
 from runtime.control.rti.problem import Problem, fill_options
-from runtime.control.rti.solver import CUT, SOLVED, RtiSolver
+from runtime.control.rti.solver import AXES, CUT, DISTURBANCE, SOLVED, RtiSolver
 
 VEHICLE = read_vehicle(Path(vehicles.FOLDER) / "arpl_250g.toml")
+EQUAL, GROWING = Problem(nodes=8, horizon=0.4), Problem(nodes=8, horizon=0.6, growth=1.3)
+FADING_FORCE = AXES  # place of the fading disturbance along world x
 UNLIMITED = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(1e3, 1e3, 1e3)))
 
 
@@ -53,20 +55,20 @@ def residuals(solver: RtiSolver) -> ca.Function:
     model, problem = solver.model, solver.problem
     options = fill_options(problem, model)
     lags = [item.values[name] for item in model.effects for name in item.effect.time_constants]
-    substeps = max([1, *(int(np.ceil(problem.node / lag)) for lag in lags)])
     x0, v = ca.MX.sym("x0", model.state_count), ca.MX.sym("v", model.input_count * problem.nodes)
     x, parts = x0, []
     quiet = np.zeros(model.hidden_count)
-    for k in range(problem.nodes):
+    for k, interval in enumerate(problem.intervals):
+        substeps, share = max([1, *(int(np.ceil(interval / lag)) for lag in lags)]), np.sqrt(interval / problem.node)
         u = solver.inputs[k].copy() + options.scale * v[k * model.input_count : (k + 1) * model.input_count]
         if k:
-            parts.append(np.sqrt(list(options.Q)) * (x - solver.state_reference[k]))
-        parts.append(np.sqrt(list(options.R)) * (u - solver.input_reference[k]))
+            parts.append(share * np.sqrt(list(options.Q)) * (x - solver.state_reference[k]))
+        parts.append(share * np.sqrt(list(options.R)) * (u - solver.input_reference[k]))
         for _ in range(substeps):
             x = rk4(
                 lambda s, u=u: model.derivative(s, u, model.parameter_values, ENVIRONMENT_DEFAULT, quiet),
                 x,
-                problem.node / substeps,
+                interval / substeps,
             )
     parts.append(np.sqrt(list(options.P)) * (x - solver.state_reference[-1]))
     return ca.Function("residuals", [x0, v], [ca.vertcat(*parts)])
@@ -99,8 +101,11 @@ def six_rotors() -> Vehicle:
     ],
     ids=["nominal", "lag and drag", "six rotors"],
 )
-def test_condensed_hessian_and_gradient_are_gauss_newtons(vehicle: Vehicle, effects: list[EffectUse]) -> None:
-    solver = RtiSolver(build_model(vehicle, effects=effects), Problem(nodes=8, horizon=0.4))
+@pytest.mark.parametrize("problem", [EQUAL, GROWING], ids=["equal", "growing"])
+def test_condensed_hessian_and_gradient_are_gauss_newtons(
+    vehicle: Vehicle, effects: list[EffectUse], problem: Problem
+) -> None:
+    solver = RtiSolver(build_model(vehicle, effects=effects), problem)
     state = excited(solver)
     solver.prepare(state)
     hessian, gradient = gauss_newton(solver, state)
@@ -120,9 +125,11 @@ def reference_step(solver: RtiSolver, hessian: np.ndarray, gradient: np.ndarray)
     return solver.inputs + options.scale * np.array(answer["x"]).reshape(solver.inputs.shape)
 
 
+@pytest.mark.parametrize(("horizon", "growth"), [(0.5, 1.0), (1.0, 1.2)], ids=["equal", "growing"])
 @pytest.mark.parametrize("push", [0.0, 4.0], ids=["inside", "saturated"])
-def test_feedback_finds_the_optimum_of_its_quadratic_program(push: float) -> None:
-    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=10, horizon=0.5, tolerance=1e-8, iterations=50))
+def test_feedback_finds_the_optimum_of_its_quadratic_program(push: float, horizon: float, growth: float) -> None:
+    problem = Problem(nodes=10, horizon=horizon, growth=growth, tolerance=1e-8, iterations=50)
+    solver = RtiSolver(build_model(UNLIMITED), problem)
     expected = excited(solver)
     solver.prepare(expected)
     measured = expected.copy()
@@ -332,8 +339,41 @@ def test_shifting_by_a_whole_node_moves_every_input_to_the_node_before() -> None
     np.testing.assert_allclose(solver.inputs[-1], before[-1])
 
 
-def test_repeated_iterations_converge_to_the_nonlinear_optimum() -> None:
-    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=10, horizon=0.5))
+def test_shifting_by_less_than_the_shortest_interval_moves_what_the_inputs_integrate_to() -> None:
+    """Over each interval, whatever its length: the mean of what was planned for that time."""
+    problem = Problem(nodes=6, horizon=0.6, growth=1.5)
+    solver = RtiSolver(build_model(VEHICLE), problem)
+    excited(solver)
+    seconds = 0.7 * problem.node
+    ends = np.concatenate([problem.offsets, [problem.horizon + 1.0]])  # the last input goes on
+    integral = np.vstack([np.zeros(4), np.cumsum(np.diff(ends)[:, None] * solver.inputs[[*range(6), 5]], axis=0)])
+
+    def planned(times: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(times, ends, integral[:, rotor]) for rotor in range(4)])
+
+    expected = np.diff(planned(problem.offsets + seconds), axis=0) / np.array(problem.intervals)[:, None]
+    solver.shift(seconds)
+    np.testing.assert_allclose(solver.inputs, expected, rtol=1e-9)
+
+
+def test_the_disturbance_fades_by_the_time_of_a_node_whatever_the_intervals() -> None:
+    rates = [DISTURBANCE - 2, DISTURBANCE - 1]
+    state, lengths = None, []
+    for problem in (Problem(nodes=60, horizon=0.6), Problem(nodes=8, horizon=0.6, growth=1.3)):
+        solver = RtiSolver(build_model(VEHICLE, effects=[EffectUse("motor_lag", {"time_constant": 0.01})]), problem)
+        state = hovering(solver.model)
+        solver.reset(state)
+        solver.state_reference[:], solver.input_reference[:] = state, solver.model.vehicle.hover_speed
+        solver.disturbance[FADING_FORCE], solver.disturbance[rates] = 1.0, 5.0
+        assert solver.prepare(state) == 0
+        lengths.append(solver.states[-1, 3])
+    assert lengths[1] == pytest.approx(lengths[0], rel=1e-3)
+    assert lengths[0] == pytest.approx((1 - np.exp(-3.0)) / 5.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("growth", [1.0, 1.2], ids=["equal", "growing"])
+def test_repeated_iterations_converge_to_the_nonlinear_optimum(growth: float) -> None:
+    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=10, horizon=0.5, growth=growth))
     state = excited(solver)
     state[:13] = hovering(solver.model) + 0.2 * (state - hovering(solver.model))
     state[6:10] /= np.linalg.norm(state[6:10])
