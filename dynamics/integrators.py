@@ -108,14 +108,14 @@ def required_steps(model: Model, duration: float) -> int:
     return steps_within(model.time_constants, duration)
 
 
-def longest_step(time_constants: Sequence[float]) -> float:
+def max_step(time_constants: Sequence[float]) -> float:
     """The longest RK4 step, s, that the shortest time constant, s, allows; infinite without any."""
     return min((MAX_STEP_IN_LAGS * lag for lag in time_constants), default=math.inf)
 
 
 def steps_within(time_constants: Sequence[float], duration: float) -> int:
     """RK4 steps over a duration, s, of which none is longer than the shortest time constant, s, allows."""
-    return max(1, math.ceil(duration / longest_step(time_constants)))
+    return max(1, math.ceil(duration / max_step(time_constants)))
 
 
 def with_unit_attitude(x: Expression) -> Expression:

@@ -94,4 +94,4 @@ def test_solvers_for_another_machine_are_cross_compiled_and_need_no_library_besi
 ) -> None:
     monkeypatch.setattr(prebuilt, "_vehicles", lambda: iter((arpl_250g,)))
     made = prebuilt.build_prebuilt(PROCESSORS["neon"].machine, tmp_path)
-    assert [path.name for path in made] == ["neon-4_rotors-20x1.so", "tick.so", "facts.json"]
+    assert [path.name for path in made] == ["neon-4_rotors-20.so", "tick.so", "facts.json"]

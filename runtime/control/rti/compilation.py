@@ -10,7 +10,7 @@ from typing import Any
 from dynamics import symbolic as ca
 from dynamics.codegen import FLAGS, build_library, generate_c
 from dynamics.effect import Expression
-from dynamics.integrators import longest_step, rk4, with_unit_attitude
+from dynamics.integrators import max_step, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor, native_processor
@@ -42,14 +42,14 @@ def solver_recipe(
     expressions (CasADi's C then has loops), instead of the model's own.
     """
     node, step = _functions(model, field or _field(model))
-    longest = longest_step(model.time_constants)
+    longest = max_step(model.time_constants)
     defines: dict[str, int | str] = {
         "NX": model.state_count,
         "NU": model.input_count,
         "NODES": problem.nodes,
         "NP": model.parameter_values.size,
         "NE": ENVIRONMENT_DEFAULT.size,
-        "LONGEST_STEP": repr(longest) if math.isfinite(longest) else "INFINITY",
+        "MAX_STEP": repr(longest) if math.isfinite(longest) else "INFINITY",
         "VECTOR_BYTES": (processor or native_processor()).vector,
         "LOOPS": int(node.is_a("MXFunction")),
     }

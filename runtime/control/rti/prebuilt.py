@@ -21,7 +21,7 @@ from dynamics.decoding import decode_json
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
-from dynamics.integrators import longest_step
+from dynamics.integrators import max_step
 from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
@@ -72,7 +72,7 @@ def prebuilt_path(
     folder: Path, processor: Processor, effects: Sequence[ActiveEffect], vehicle: Vehicle, problem: Problem
 ) -> Path:
     """Where the solver for as many rotors, these effects and nodes is, if it was built; for intervals of any length."""
-    longest = longest_step(time_constants(effects))
+    longest = max_step(time_constants(effects))
     parts = [processor.name, f"{vehicle.rotors.count}_rotors", *(item.key for item in effects)]
     steps = f"-{1e3 * longest:g}ms" if math.isfinite(longest) else ""
     return folder / processor.machine / f"{'-'.join(parts)}-{problem.nodes}{steps}.so"

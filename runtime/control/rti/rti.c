@@ -15,7 +15,7 @@
  *
  * Intervals h_k between nodes may differ: stage k then weighs Q and R times h_k / h_0. */
 
-/* NX, NU, NODES, NP, NE, LONGEST_STEP of RK4, s, VECTOR_BYTES come from the build. */
+/* NX, NU, NODES, NP, NE, MAX_STEP of RK4, s, VECTOR_BYTES come from the build. */
 #define SENSITIVITY double
 #define START 0
 #define HISTORY 0
@@ -63,7 +63,7 @@ double *rti_environment(rti *r) { return r->e; }
 
 /* RK4 steps over some seconds. */
 static int substeps_of(double seconds) {
-    return isfinite(LONGEST_STEP) ? (int)fmax(1, ceil(seconds / LONGEST_STEP)) : 1;
+    return isfinite(MAX_STEP) ? (int)fmax(1, ceil(seconds / MAX_STEP)) : 1;
 }
 
 /* Contribution of the disturbance to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A

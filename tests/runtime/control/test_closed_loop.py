@@ -10,6 +10,7 @@ from dynamics.model import build_model
 from dynamics.rate_loop import RateController, autopilot_gains, rate_controller
 from dynamics.trim import find_trim
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import with_settings
 from fixtures.closed_loop_cases import NOMINAL, VEHICLES, Meeting, bundled, files, oscillation
 from runtime.control.closed_loop import (
     LinearController,
@@ -21,6 +22,7 @@ from runtime.control.closed_loop import (
     worst_damped,
 )
 from runtime.control.controller import ControllerOptions
+from runtime.control.rti.solver import SOLVED, RtiSolver
 
 WELL_DAMPED, DAMPED = 0.25, 0.03  # as the file states it; with everything off at once
 HARDEST = (  # slowest as the least damped of `benchmarks/results/closed_loop.md`
@@ -93,3 +95,21 @@ def test_every_version_of_a_chain_is_damped_with_the_gains_of_the_first() -> Non
     assert {version.autopilot for version in versions[1:]} == {autopilot_gains(versions[0])}
     for version in versions:
         assert oscillation(version, version, versions[0], NOMINAL, gains_read=False).damping > WELL_DAMPED
+
+
+@pytest.mark.parametrize("growth", [1.0, 1.1], ids=["equal", "growing"])
+def test_the_linear_gain_is_that_of_the_solver_in_hover(growth: float) -> None:
+    """Whatever the intervals, the quadratic program without active bounds is this regulator."""
+    vehicle = with_settings(bundled("arpl_250g"), ["controller.nodes=10", f"controller.growth={growth}"])
+    options, model = ControllerOptions.for_vehicle(vehicle), build_model(vehicle)
+    linear = linear_controller(hover_model(model), options, vehicle)
+    solver = RtiSolver(model, options.problem)
+    state = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
+    solver.reset(state)
+    solver.state_reference[:], solver.input_reference[:] = state, vehicle.hover_speed
+    assert solver.prepare(state) == 0
+    before, moved = solver.inputs[0].copy(), state.copy()
+    change = np.array([0.004, -0.003, 0.005, 0.01, -0.01, 0.01])
+    moved[:6] += change
+    assert solver.feedback(moved) == SOLVED
+    np.testing.assert_allclose(solver.inputs[0] - before, -linear.gain[:, :6] @ change, rtol=1e-3)

@@ -233,9 +233,17 @@ def test_options_are_those_of_the_vehicles_file(arpl_250g: Vehicle) -> None:
     assert b'"largest_error":1.0' in msgspec.json.encode(options)  # as older recordings have it
 
 
+def test_a_reference_is_asked_for_at_the_nodes_whatever_their_intervals(arpl_250g: Vehicle) -> None:
+    growing = with_settings(arpl_250g, ["controller.nodes=8", "controller.growth=1.3"])
+    controller = Controller.build(growing)
+    times = controller.node_times(2.0)
+    np.testing.assert_allclose(np.diff(times), controller.options.problem.intervals)
+    assert times[0] == 2.0 + controller.options.delay
+
+
 def test_a_kernel_keeps_its_horizon_and_takes_the_files_weights(arpl_250g: Vehicle) -> None:
-    compiled = Problem(nodes=10, horizon=0.5)
+    compiled = Problem(nodes=10, horizon=0.5, growth=1.1)
     assert ControllerOptions.for_vehicle(arpl_250g).for_kernel(compiled).problem == compiled
     heavier = with_settings(arpl_250g, ["controller.attitude_weight=16"])
     problem = ControllerOptions.for_vehicle(heavier).for_kernel(compiled).problem
-    assert (problem.nodes, problem.horizon, problem.weights.attitude) == (10, 0.5, 16.0)
+    assert (problem.nodes, problem.horizon, problem.growth, problem.weights.attitude) == (10, 0.5, 1.1, 16.0)
