@@ -1,21 +1,22 @@
-"""The likelihood's answer in the form of the regression's: the likelihood says which effects are missing, their values
-are those of the joint fit, and the residuals of that fit tell whether something else is missing."""
+"""The likelihood's answer in the form of the regression's, whose tests of the residuals tell what else is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
-from diagnosis.estimation.equation_error import beyond_feedback, fit
-from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out
+from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out, with_candidates
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.columns import candidates
+from diagnosis.likelihood.evidence import Search
 from diagnosis.likelihood.flight_rows import make_rows
-from diagnosis.likelihood.identify import identify
+from diagnosis.likelihood.identify import command_values, deviations, identify
 from diagnosis.likelihood.named import Named, named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
@@ -23,11 +24,11 @@ from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.search import Search
-from diagnosis.selection.selected import Selection, with_gust_by
+from diagnosis.selection.search import Search as RegressionSearch
+from diagnosis.selection.selected import Selection, gust_variance, with_gust_by
 from diagnosis.verdict import parameters_of
+from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
-from dynamics.vehicle import Vehicle
 
 
 def tells_best(dataset: Dataset) -> bool:
@@ -41,111 +42,134 @@ def tells_best(dataset: Dataset) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodAnswer:
-    """The named effects by the likelihood, and what the tests of their fit's residuals need.
+    """The named effects by the likelihood, and what the tests of their residuals need.
 
-    regression: about that fit. selection: of the named effects, with the gust beside them.
+    search: about the best set. regression: about the named effects. selection: of them, with the gust beside them.
     """
 
+    search: Search
+    named: tuple[Named, ...]
     regression: Regression
     selection: Selection
     accepted: Accepted
-    named: tuple[Named, ...]
 
     def missing(self) -> tuple[MissingEffect, ...]:
-        """The accepted effects, the likeliest first."""
+        """The named effects, the surest first."""
         commanded = self.regression.segments[0].rotor_source == "command"
         by_identity = {c.identity: c for c in self.accepted.fit.candidates}
         effects = []
         for one in self.named:
-            if (candidate := by_identity.get(one.candidate.identity)) is None:
-                continue
+            candidate = by_identity[one.candidate.identity]
             name, rivals = candidate.effect.name, list(one.rivals)
             rivals += seen_as([name, *rivals], self.regression.catalogue) if commanded else []
-            alike = tuple(dict.fromkeys(rival for rival in rivals if rival != name))
             effects.append(
                 MissingEffect(
                     name=name,
                     rotor=candidate.rotor,
                     parameters=parameters_of(self.accepted.fit, candidate),
                     confidence=one.probability,
-                    ambiguous_with=alike,
+                    ambiguous_with=tuple(dict.fromkeys(rival for rival in rivals if rival != name)),
                 )
             )
         return tuple(effects)
 
     def without(self, refused: Sequence[Refused], dataset: Dataset) -> LikelihoodAnswer:
-        """The answer without effects that are refused afterwards, the others fitted again."""
+        """The answer without effects that are refused afterwards."""
         out = {(one.name, one.rotor) for one in refused}
-        rest = [one for one in self.named if one.candidate.identity not in out]
-        kept = [c for c in self.accepted.fit.candidates if c.identity not in out]
-        accepted = _accepted(self.regression, kept, rest, dataset, (*self.accepted.refused, *refused))
-        return LikelihoodAnswer(self.regression, self.selection, accepted, tuple(rest))
+        rest = tuple(one for one in self.named if one.candidate.identity not in out)
+        accepted = _accepted(self.search, self.regression, rest, dataset, (*self.accepted.refused, *refused))
+        return LikelihoodAnswer(self.search, rest, self.regression, self.selection, accepted)
 
 
 def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress = no_progress) -> LikelihoodAnswer:
-    """Which effects are missing. first: the regression about the vehicle's own model."""
-    problem = likelihood_problem(dataset, first.vehicle, first)
-    named = named_effects(problem, identify(problem, progress=progress))
-    chosen = [_of_regression(first, one.candidate, one) for one in named]
-    together = [(one, candidate) for one, candidate in zip(named, chosen, strict=True) if candidate is not None]
-    named, own = tuple(one for one, _ in together), [candidate for _, candidate in together]
-    regression = first
-    if own:
-        start = _start(own, named)
-        estimates = {key: ParameterEstimate(value, 0.0, "") for key, value in start.items()}
-        again = about(first, first.candidates, first.nuisances, Fit(first.vehicle, estimates, tuple(own)))
-        if again is not None:
-            regression, own = again, [_same(again.candidates, candidate) for candidate in own]
-    search, before = Search(regression), gust_beside(regression, [])
-    selection = Selection(search.score(own), Search(first).singles(), gust_beside(first, []), before, False)
-    selection = with_gust_by(regression, selection, own)
-    return LikelihoodAnswer(regression, selection, _accepted(regression, own, named, dataset, ()), named)
+    """Which effects are missing. first: the regression about the vehicle's own model, with which they are tested."""
+    result = identify(likelihood_problem(dataset, first), progress=progress)
+    search, known = result.search, {c.identity for c in first.candidates}
+    named = tuple(one for one in named_effects(result) if one.candidate.identity in known)
+    fitted = likelihood_fit(search, first, named)
+    regression = (about(first, first.candidates, first.nuisances, fitted) if named else None) or first
+    own = _in_regression(regression, named, fitted)
+    air = gust_variance(regression, own)
+    regression = regression.in_gust(air)
+    before, singles = gust_beside(first, []), RegressionSearch(first).singles()
+    chosen = RegressionSearch(regression).score(own)
+    selection = with_gust_by(regression, Selection(chosen, singles, before, before, False, air), own)
+    return LikelihoodAnswer(search, named, regression, selection, _accepted(search, regression, named, dataset, ()))
 
 
-def likelihood_problem(dataset: Dataset, vehicle: Vehicle, regression: Regression) -> Problem:
+def likelihood_problem(dataset: Dataset, regression: Regression) -> Problem:
     """The fitted flights as the filter has them."""
-    vehicle, catalogue = with_command_effects(vehicle, regression.catalogue, dataset.fitted)
+    vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
     rows = [make_rows(segment, group) for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True)]
     return Problem(vehicle, catalogue, rows, candidates(vehicle, catalogue, dataset.fitted))
 
 
+def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:
+    """Values and covariance of the named effects and of what lies between command and thrust beside them."""
+    what, scored = search.what, search.score([one.number for one in named])
+    values, commands = search.named_values(scored), command_values(search, scored)
+    places, count = search.places(scored), len(what.of_commands)
+    information = search.total.information(places, count)
+    known = np.concatenate([search.std[places] ** -2.0, np.zeros(count)])
+    covariance = np.linalg.inv(information + np.diag(known))
+    own = np.sqrt(np.diag(covariance)[: len(places)])
+    scatter = np.concatenate([np.maximum(deviations(search, scored) / own, 1.0), np.ones(count)])
+    covariance = covariance * scatter * scatter[:, None]
+    estimates = _estimates(search, values, covariance)
+    of_commands = _estimates(search, commands, covariance[len(places) :, len(places) :])
+    chosen = _in_regression(regression, named, None)
+    full = {f"{what.all[i].key}.{name}": v for i in values for name, v in {**what.all[i].at, **values[i]}.items()}
+    full |= {f"{key}.{name}": one.value for (key, name), one in of_commands.items()}
+    return Fit(
+        vehicle=with_candidates(regression.vehicle, (*chosen, *regression.nuisances), full),
+        estimates=estimates,
+        candidates=chosen,
+        covariance=covariance,
+        information=information,
+        nuisances=regression.nuisances,
+        commands=of_commands,
+    )
+
+
+def _estimates(
+    search: Search, values: dict[int, dict[str, float]], covariance: Floats
+) -> dict[tuple[str, str], ParameterEstimate]:
+    """Values by (key, parameter), with their deviations. covariance: (c, c) in the order of all."""
+    made, std = dict[tuple[str, str], ParameterEstimate](), np.sqrt(np.diag(covariance))
+    for number, own in values.items():
+        candidate = search.what.all[number]
+        units = {p.name: p.unit for p in candidate.effect.parameters}
+        for name, value in own.items():
+            made[candidate.key, name] = ParameterEstimate(value, float(std[len(made)]), units[name])
+    return made
+
+
 def _accepted(
-    regression: Regression,
-    own: Sequence[Candidate],
-    named: Collection[Named],
-    dataset: Dataset,
-    refused: Sequence[Refused],
+    search: Search, regression: Regression, named: Sequence[Named], dataset: Dataset, refused: Sequence[Refused]
 ) -> Accepted:
-    """The joint fit of the effects, and what each is worth on the held-out flights."""
-    lacking = fit(regression, ()).vehicle
-    fitted = fit(regression, own, vehicle=lacking, start=_start(own, named)) if own else fit(regression, ())
-    fitted = beyond_feedback(regression, fitted, lacking) if own else fitted
-    judge = HeldOut(regression, dataset.held_out)
+    """The named effects, and what each is worth on the held-out flights."""
+    fitted, judge = likelihood_fit(search, regression, named), HeldOut(regression, dataset.held_out)
     floor = judge.floor(fitted.vehicle)
-    changes = {
-        c.key: judge.channel_changes(left_out(fitted, c, lacking)[1], fitted.vehicle, floor) for c in fitted.candidates
-    }
-    sure = {one.candidate.identity: one.probability for one in named}
-    return Accepted(fitted, tuple(refused), changes, {c.key: sure[c.identity] for c in own}, floor)
+    fewer = {c.key: left_out(fitted, c, regression.vehicle)[1] for c in fitted.candidates}
+    changes = {key: judge.channel_changes(vehicle, fitted.vehicle, floor) for key, vehicle in fewer.items()}
+    sure = {one.candidate.key: one.probability for one in named}
+    return Accepted(fitted, tuple(refused), changes, sure, floor)
 
 
-def _start(own: Sequence[Candidate], named: Collection[Named]) -> dict[tuple[str, str], float]:
-    """Values by (key, parameter) at which the joint fit begins."""
-    values = {one.candidate.identity: {**one.candidate.at, **one.values} for one in named}
-    return {(c.key, name): value for c in own for name, value in values[c.identity].items()}
+def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit | None) -> tuple[Candidate, ...]:
+    """The regression's candidates of the named effects, in the order of the likelihood's: at the grid points that are
+    nearest their values. fitted: about which the regression is, None for the vehicle's own model."""
+    if fitted is not None:
+        return tuple(next(c for c in regression.candidates if c.columns == own.columns) for own in fitted.candidates)
+    made = []
+    for one in sorted(named, key=lambda each: each.number):
+        same = [c for c in regression.candidates if c.identity == one.candidate.identity]
+        distances = [_distance(c, one.candidate.at) for c in same]
+        made.append(same[int(np.argmin(distances))])
+    return tuple(made)
 
 
-def _of_regression(regression: Regression, candidate: Candidate, named: Named) -> Candidate | None:
-    """The regression's candidate of an effect, at the grid point that is nearest its values; None where it has none."""
-    values = {**candidate.at, **named.values}
-    same = [c for c in regression.candidates if c.identity == candidate.identity]
-
-    def distance(other: Candidate) -> float:
-        held = [name for name in other.at if name not in other.free]
-        return sum(abs(other.at[name] - values[name]) / (abs(values[name]) + 1e-9) for name in held)
-
-    return min(same, key=distance, default=None)
-
-
-def _same(others: Sequence[Candidate], candidate: Candidate) -> Candidate:
-    return next(other for other in others if other.columns == candidate.columns)
+def _distance(candidate: Candidate, at: Mapping[str, float]) -> float:
+    """How far a candidate's held values are from others, relatively."""
+    held = [name for name in candidate.at if name not in candidate.free]
+    return sum(abs(candidate.at[name] - at[name]) / (abs(at[name]) + 1e-9) for name in held)

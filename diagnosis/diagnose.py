@@ -172,13 +172,12 @@ class _Answer:
 
 
 def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
-    """By the likelihood. Effects with a state of their own, as a load that swings, are none of its candidates: the
-    regression names them where something is left."""
+    """By the likelihood. Effects with a state of their own, as a load that swings, are none of its candidates: where
+    something is left, the answer of the regression counts if that leaves nothing."""
     answer = _by_likelihood(first, dataset, part_of(progress, 0.0, 0.7))
     if answer.judged.rejected:
         other = _by_regression(first, dataset, part_of(progress, 0.7, 1.0))
-        hidden = any(c.effect.hidden and c.effect.rotor_speed is None for c in other.accepted.fit.candidates)
-        return other if hidden and not other.judged.rejected else answer
+        return answer if other.judged.rejected else other
     return answer
 
 
@@ -189,8 +188,8 @@ def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _
     judgement = _Judgement(first, regression, answer.selection, dataset, before)
     progress(0.8, "tests of what remains")
     judged = judgement.of(answer.accepted)
-    while standing_in := _standing_in(regression, answer.accepted, judged):
-        answer = answer.without(standing_in, dataset)
+    while refuted := drifting_effects(regression, answer.accepted.fit, judged.fitted, rejected=False):
+        answer = answer.without(refuted, dataset)
         judged = judgement.of(answer.accepted)
     effects = with_gust(answer.missing(), judged.selection) if judged.gusty else answer.missing()
     return _Answer(regression, answer.accepted, judged, before, effects)

@@ -99,7 +99,8 @@ def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequ
     own = [Nuisance("gyro", i, priors.GYRO, "flight") for i in range(3)]
     own += [Nuisance("accelerometer", i, force, "flight") for i in range(3)]
     own += [Nuisance("level", i, level, "flight") for i in range(3)]
-    own += [Nuisance("clock", 0, clock, "flight"), Nuisance("attitude_clock", 0, priors.ATTITUDE_CLOCK, "flight")]
+    turn = priors.FILTER_DELAY if estimated else priors.ATTITUDE_CLOCK
+    own += [Nuisance("clock", 0, clock, "flight"), Nuisance("attitude_clock", 0, turn, "flight")]
     if segments[0].rotor_source == "measured":
         own.append(Nuisance("rotor_clock", 0, priors.CLOCK, "flight"))
     blocks = [Nuisance(kind, i, priors.DISCREPANCY, "block") for kind in ("force", "turning") for i in range(3)]

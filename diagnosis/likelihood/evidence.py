@@ -49,6 +49,15 @@ class Sums:
         change[list(places)] += values
         return np.asarray((inverse @ (score - across @ change))[:count])
 
+    def information(self, places: Sequence[int], count: int) -> Floats:
+        """(c + count, c + count) of a set's columns and of what lies between command and thrust, beside them."""
+        inverse, across, _ = self.shared
+        rest, own = list(places), slice(0, count)
+        slope = inverse @ across[:, rest]
+        inner = np.linalg.inv(inverse[own, own]) if count else np.zeros((0, 0))
+        mixed = inner @ slope[own]
+        return np.block([[self.M[np.ix_(rest, rest)] + slope[own].T @ mixed, mixed.T], [mixed, inner]])
+
 
 def sums(
     problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool, share: float = 1.0

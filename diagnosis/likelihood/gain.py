@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from diagnosis.noise.component import AXES, FlightConditions
 from diagnosis.noise.composition import Composition
-from diagnosis.noise.discretisation import DiscreteModel, discretise
+from diagnosis.noise.discretisation import DiscreteModel, covariances, discretise
 from diagnosis.noise.linear_model import LinearModel, compose
 from dynamics.arrays import Floats
 from dynamics.rotation_matrix import skew
@@ -215,17 +215,11 @@ def slopes(composition: Composition, logs: Floats, names: Sequence[str], plant: 
     m, K, P = gain.model, gain.K, gain.P
     inverse = gain.whitening.T @ gain.whitening
     closed = m.A - K @ m.C
-    parts, driven = [], []
-    here = composition.parts(dict(zip(names, np.exp(logs), strict=True)), plant.conditions)
-    for place, name in enumerate(names):
-        moved = logs.copy()
-        moved[place] += STEP
-        values = dict(zip(names, np.exp(moved), strict=True))
-        other = _over_row(compose(composition.parts(values, plant.conditions, here, name)), plant)
-        d = DiscreteModel(*((getattr(other, x) - getattr(m, x)) / STEP for x in ("A", "C", "Q", "S", "R")))
+    parts = _discrete_slopes(composition, logs, names, plant, m)
+    driven = []
+    for d in parts:
         mixed = (d.A - K @ d.C) @ P @ closed.T - d.S @ K.T
         driven.append(d.Q + K @ d.R @ K.T + mixed + mixed.T)
-        parts.append(d)
     change = _lyapunov(closed, np.array(driven))
     made = []
     for d, dP in zip(parts, change, strict=True):
@@ -234,6 +228,53 @@ def slopes(composition: Composition, logs: Floats, names: Sequence[str], plant: 
         dK = (d.A @ P @ m.C.T + m.A @ dP @ m.C.T + m.A @ P @ d.C.T + d.S - K @ dV) @ inverse
         made.append(GainSlope(d.A, d.C, dK, dV))
     return made
+
+
+def _discrete_slopes(
+    composition: Composition, logs: Floats, names: Sequence[str], plant: Plant, model: DiscreteModel
+) -> list[DiscreteModel]:
+    """Derivatives of the discretised model in each hyperparameter's logarithm.
+
+    Most of them change intensities alone, which enter linearly; of the others the whole model is made again.
+    """
+    here = composition.parts(dict(zip(names, np.exp(logs), strict=True)), plant.conditions)
+    whole, made = combined(compose(here), plant), dict[int, DiscreteModel]()
+    Qc, R, linear = [], [], []
+    for place, name in enumerate(names):
+        moved = logs.copy()
+        moved[place] += STEP
+        values = dict(zip(names, np.exp(moved), strict=True))
+        there = composition.parts(values, plant.conditions, here, name)
+        if all(_has_dynamics_of(one, other) for one, other in zip(here, there, strict=True)):
+            linear.append(place)
+            Qc.append(_by_name(there, whole.noises, "noises", "Qc") - _by_name(here, whole.noises, "noises", "Qc"))
+            R.append(_by_name(there, whole.outputs, "outputs", "R") - _by_name(here, whole.outputs, "outputs", "R"))
+            continue
+        other = _over_row(compose(there), plant)
+        made[place] = DiscreteModel(
+            *((getattr(other, x) - getattr(model, x)) / STEP for x in ("A", "C", "Q", "S", "R"))
+        )
+    period, outputs = plant.conditions.period, plant.outputs
+    slopes_of = covariances(whole, period, outputs, np.array(Qc) / STEP, np.array(R) / STEP) if linear else []
+    made |= dict(zip(linear, slopes_of, strict=True))
+    return [made[place] for place in range(len(names))]
+
+
+def _has_dynamics_of(one: LinearModel, other: LinearModel) -> bool:
+    """Whether two state spaces differ in their noises' intensities at most."""
+    return one is other or all(np.array_equal(getattr(one, x), getattr(other, x)) for x in ("F", "L", "H", "D"))
+
+
+def _by_name(parts: Sequence[LinearModel], names: Sequence[str], of: str, value: str) -> Floats:
+    """Values of parts in the order of some names: intensities add, each of one part; variances of readings add."""
+    total = np.zeros(len(names))
+    places = {name: place for place, name in enumerate(names)}
+    for part in parts:
+        for name, each in zip(getattr(part, of), getattr(part, value), strict=True):
+            place = places.get(name.replace("speed_reading", "rotor_speed") if of == "outputs" else name)
+            if place is not None and np.isfinite(each):
+                total[place] += each
+    return total
 
 
 @dataclass(frozen=True, eq=False)

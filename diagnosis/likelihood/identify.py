@@ -16,12 +16,11 @@ from dynamics.progress import Progress, no_progress
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The best set about its own values. std: of its columns, with the scatter of blocks."""
+    """The best set about its own values."""
 
     noise: NoiseFit
     search: Search
     best: Scored
-    std: Floats
     chi_square: float
 
 
@@ -45,19 +44,18 @@ def identify(problem: Problem, structures: Sequence[str] | None = None, progress
         chi = sum(i.squares.sum() for i in information) / sum(i.count for i in information)
         same = set(best.members) == set(members)
         members = best.members
-        if same and step < t.settled_step and settled:
+        if (same and step < t.settled_step and settled) or number == t.rounds - 1:
             break
-        problem.fitted = values | _commands(problem, search, best)
+        problem.fitted = values | command_values(search, best)
         if number == t.settled_rounds - 1:
             noise = fit_noise(problem, noise.structure, values=noise.values, only=members)
-    std = _deviations(search, best)
-    return Identified(noise, search, best, std, float(chi))
+    return Identified(noise, search, best, float(chi))
 
 
-def _commands(problem: Problem, search: Search, best: Scored) -> dict[int, dict[str, float]]:
-    """Values of what lies between command and thrust, beside the best set."""
-    what, own = problem.what, problem.what.of_commands
-    change = search.total.of_commands(search.places(best), best.values, len(own))
+def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]]:
+    """Values of what lies between command and thrust, beside a set."""
+    problem, what, own = search.problem, search.what, search.what.of_commands
+    change = search.total.of_commands(search.places(scored), scored.values, len(own))
     made = {}
     for place, value in zip(own, present(problem)[own] + change, strict=True):
         number = what.columns[place].candidate
@@ -75,7 +73,7 @@ def _step(problem: Problem, search: Search, best: Scored) -> float:
     return float(np.max(np.abs(change) / np.sqrt(np.diag(best.covariance))))
 
 
-def _deviations(search: Search, best: Scored) -> Floats:
+def deviations(search: Search, best: Scored) -> Floats:
     """(c,) standard deviations: the larger of the likelihood's and of the blocks' scatter (a sandwich)."""
     places = search.places(best)
     if not places:

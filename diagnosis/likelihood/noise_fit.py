@@ -285,7 +285,6 @@ def likeliest(problem: Problem, structures: Sequence[str]) -> NoiseFit:
 
 
 def structures_of(segment: Segment) -> tuple[str, ...]:
-    """The structures that a log's pose may have; of what the log does not say the likelihood tells."""
+    """The structures that a log's pose may have; among an estimator's the likelihood decides."""
     captured, *estimators = STRUCTURES
-    by_source = {"motion_capture": (captured,), "estimator": tuple(estimators)}
-    return by_source.get(segment.pose_source, tuple(STRUCTURES))
+    return tuple(estimators) if segment.pose_source == "estimator" else (captured,)

@@ -11,7 +11,7 @@ from scipy import stats
 from diagnosis.likelihood.columns import Candidates, Column, Nuisance
 from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
 from diagnosis.likelihood.gain import NoiseSlopes
-from diagnosis.likelihood.identify import identify
+from diagnosis.likelihood.identify import deviations, identify
 from diagnosis.likelihood.problem import Information, Problem
 from diagnosis.likelihood.rigid_body import FlightModel
 from diagnosis.thresholds.likelihood import LikelihoodThresholds
@@ -157,12 +157,9 @@ def named(problem: Problem) -> tuple[dict[str, dict[str, float]], float, dict[st
     """Effects by name, the innovations' chi-square, and each one's deviation."""
     result = identify(problem, ["filtered pose"])
     values = result.search.named_values(result.best)
-    first, deviations = 0, {}
-    for number in result.best.members:
-        width = len(result.search.columns[number])
-        deviations[problem.what.all[number].key] = float(result.std[first])
-        first += width
-    return {problem.what.all[i].key: own for i, own in values.items()}, result.chi_square, deviations
+    std = dict(zip(values, deviations(result.search, result.best), strict=True))  # one value each
+    names = {i: problem.what.all[i].key for i in values}
+    return {names[i]: own for i, own in values.items()}, result.chi_square, {names[i]: std[i] for i in values}
 
 
 def test_flights_of_another_simulator_with_nothing_hidden_name_nothing():
@@ -173,8 +170,8 @@ def test_flights_of_another_simulator_with_nothing_hidden_name_nothing():
 
 def test_a_drag_of_another_simulator_is_named_alone_with_its_value():
     problem = problem_of("single", "rotor_drag", 90000)
-    effects, chi_square, deviations = named(problem)
+    effects, chi_square, std = named(problem)
     assert set(effects) == {"rotor_drag"}
     assert chi_square == pytest.approx(1.0, abs=0.03)
     truth = 6.869e-05
-    assert abs(effects["rotor_drag"]["coefficient"] - truth) < 3 * deviations["rotor_drag"]
+    assert abs(effects["rotor_drag"]["coefficient"] - truth) < 3 * std["rotor_drag"]
