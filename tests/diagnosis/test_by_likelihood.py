@@ -1,0 +1,83 @@
+"""The likelihood's answer as diagnosis gives it: which logs it is asked of, its values, and what is taken back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, tells_best
+from diagnosis.data.dataset import Dataset, read_dataset
+from diagnosis.estimation.fitted import left_out
+from diagnosis.estimation.refusal import Refused
+from diagnosis.likelihood.evidence import Sums
+from diagnosis.selection.regression_of_flights import make_regression
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle import Vehicle
+from fixtures.real_flights import DATA, px4_sih
+
+
+@cache
+def twice_the_drag() -> tuple[Dataset, Vehicle, LikelihoodAnswer]:
+    """Flights of PX4's firmware with twice the drag of the file."""
+    vehicle = px4_sih()
+    logs = [DATA / "px4_sih_flights" / f"{name}.ulg.gz" for name in ("drag2_1_circle", "drag2_4_lemniscate")]
+    dataset = read_dataset(logs, vehicle)
+    first = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
+    return dataset, vehicle, answer_by_likelihood(first, dataset)
+
+
+def test_it_is_asked_where_an_estimator_makes_every_pose():
+    dataset, _, _ = twice_the_drag()
+    assert tells_best(dataset)
+    for source in ("motion_capture", "unknown"):
+        other = replace(dataset.fitted[0], pose_source=source)
+        assert not tells_best(replace(dataset, fitted=(other, *dataset.fitted[1:])))
+
+
+def test_the_report_has_the_likelihoods_values_and_deviations():
+    _, vehicle, answer = twice_the_drag()
+    (effect,) = answer.missing()
+    (estimate,) = answer.accepted.fit.estimates.values()
+    assert effect.name == "linear_drag"
+    assert effect.parameters["coefficient"].value == estimate.value
+    assert effect.parameters["coefficient"].std == estimate.std > 0
+    assert effect.confidence > 0.95
+    fitted = {use.name: use.parameters for use in answer.accepted.fit.vehicle.effects}
+    assert fitted["linear_drag"]["coefficient"] == estimate.value
+    own = next(use.parameters["coefficient"] for use in vehicle.effects if use.name == "linear_drag")
+    assert abs(estimate.value - own) > 5 * estimate.std
+
+
+def test_without_the_effect_held_out_errors_rise():
+    _, vehicle, answer = twice_the_drag()
+    fit = answer.accepted.fit
+    _, fewer = left_out(fit, fit.candidates[0], vehicle)
+    assert {use.name: use.parameters for use in fewer.effects}["linear_drag"]["coefficient"] == pytest.approx(1.0)
+    assert max(change.fall for change in answer.accepted.relevance["linear_drag"].values()) > 0
+
+
+def test_an_effect_that_is_taken_back_leaves_nothing_of_its_values():
+    dataset, vehicle, answer = twice_the_drag()
+    refused = Refused("linear_drag", None, "drifts", {"share": 1.0, "deviations": 9.0})
+    rest = answer.without([refused], dataset)
+    assert rest.missing() == ()
+    assert rest.accepted.refused == (refused,)
+    own = next(use.parameters for use in vehicle.effects if use.name == "linear_drag")
+    assert next(u.parameters for u in rest.accepted.fit.vehicle.effects if u.name == "linear_drag") == own
+    assert set(rest.accepted.fit.commands) == set(answer.accepted.fit.commands)
+
+
+def test_information_beside_commands_is_what_is_left_when_all_else_is_marginalised():
+    random = np.random.default_rng(3)
+    root = random.standard_normal((12, 7))
+    full = root.T @ root  # four effects, then two values of commands, then one of the noise
+    rest, own, places, count = [0, 1, 2, 3], [4, 5, 6], [3, 1], 2
+    inverse, across = np.linalg.inv(full[np.ix_(own, own)]), full[np.ix_(own, rest)]
+    M = full[np.ix_(rest, rest)] - across.T @ inverse @ across
+    none = np.zeros(4)
+    total = Sums(M, none, M[None], none[None], none, (inverse, across, np.zeros(3)))
+    joint = np.linalg.inv(full[np.ix_([*places, *own], [*places, *own])])[:4, :4]
+    np.testing.assert_allclose(total.information(places, count), np.linalg.inv(joint), rtol=1e-9)
