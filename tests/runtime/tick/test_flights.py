@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import read_vehicle
+from dynamics.vehicle_file import read_vehicle, with_settings
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.consistent_heading import ConsistentHeading
@@ -62,6 +62,12 @@ def test_a_flight_answered_in_c_replays_in_python_bit_for_bit(seed: int, arpl_25
 def test_a_hundred_flights_answered_in_c_replay_in_python(seed: int, arpl_250g: Vehicle, tmp_path: Path) -> None:
     flight, reference = drawn(arpl_250g, seed)
     check(flight, reference, arpl_250g, flight.flyer.controllers.main, tmp_path)
+
+
+def test_a_flight_with_growing_intervals_replays_bit_for_bit(arpl_250g: Vehicle, tmp_path: Path) -> None:
+    vehicle = with_settings(arpl_250g, ["controller.nodes=14", "controller.growth=1.06"])
+    flight, reference = drawn(vehicle, 0)
+    check(flight, reference, vehicle, flight.flyer.controllers.main, tmp_path)
 
 
 def test_a_model_whose_rotors_lag_is_answered_as_python_does(tmp_path: Path) -> None:
