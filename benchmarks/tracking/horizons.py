@@ -1,9 +1,9 @@
 """Horizons and nodes of the nominal controller: tracking error by what the flight meets, and the time of a step.
 
-Every manoeuvre of the catalogue but low_flight in lockstep, the shortest number of laps that takes 6 s, by motion capture. Met:
-nothing; the manoeuvre at 1.15 times its speed, which saturates the rotors; a leap of the reference by 0.6 m; wind of
-3 m/s on an unmodelled rotor drag; 25 % more mass; motors that lag by 40 ms. None of it is in the vehicle file. Growth:
-of each interval between nodes over the one before.
+Every manoeuvre of the catalogue but low_flight in lockstep, the shortest number of laps that takes 6 s, by motion
+capture. Met: nothing; the manoeuvre at 1.15 times its speed, which saturates the rotors; a leap of the reference by
+0.6 m; wind of 3 m/s on an unmodelled rotor drag; 25 % more mass; motors that lag by 40 ms. None of it is in the vehicle
+file. Growth: of each interval between nodes over the one before.
 
     python -m benchmarks tracking horizons [--seeds 1 --further-seeds 1]
 """
@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.measurement import Page, Result, measured, options_of, paragraph_of
+from benchmarks.provenance import commit
 from dynamics.arrays import Floats
 from dynamics.controller_settings import intervals_of
 from dynamics.errors import VehicleError
@@ -90,7 +91,8 @@ def horizons(words: Sequence[str]) -> Page:
     ]
     results = measured(flown, cases, chosen, lambda r: f"{r['key']}: {r['rmse']:.4f} m {r['ended']}", key_of=key_of)
     seeds_flown = f"Seeds: {chosen.seeds} of all grids, {chosen.further_seeds} more of {names_of(FINALISTS)}."
-    parts = [paragraph_of(__doc__), seeds_flown, _table(results), NOTE, "## Beyond 3 %", _beyond(results)]
+    commits = ", ".join(sorted({result["commit"] for result in results}))
+    parts = [paragraph_of(__doc__), f"{seeds_flown} Flown at {commits}.", _table(results), NOTE, "## Beyond 3 %", _beyond(results)]
     return Page("horizons", "The controller's horizon", "\n\n".join([*parts, "## All, first seed", _each(results)]))
 
 
@@ -119,8 +121,10 @@ def flown(case: Mapping[str, Any]) -> dict[str, Any]:
     try:
         flight = fly_reference(vehicle, path, effects=MET[case["met"]], seed=case["seed"])
     except VehicleError as error:
-        return {"key": key_of(case), **case, "rmse": float("nan"), "ended": str(error)}
-    return {"key": key_of(case), **case, "rmse": flight.position_rmse, "ended": flight.aborted}
+        outcome = {"rmse": float("nan"), "ended": str(error)}
+    else:
+        outcome = {"rmse": flight.position_rmse, "ended": flight.aborted}
+    return {"key": key_of(case), **case, **outcome, "commit": commit()}
 
 
 def _of(results: Sequence[Result], grid: Grid, met: str) -> dict[tuple[str, int], Result]:
