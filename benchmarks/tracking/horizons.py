@@ -92,8 +92,9 @@ def horizons(words: Sequence[str]) -> Page:
     results = measured(flown, cases, chosen, lambda r: f"{r['key']}: {r['rmse']:.4f} m {r['ended']}", key_of=key_of)
     seeds_flown = f"Seeds: {chosen.seeds} of all grids, {chosen.further_seeds} more of {names_of(FINALISTS)}."
     commits = ", ".join(sorted({result["commit"] for result in results}))
-    parts = [paragraph_of(__doc__), f"{seeds_flown} Flown at {commits}.", _table(results), NOTE, "## Beyond 3 %", _beyond(results)]
-    return Page("horizons", "The controller's horizon", "\n\n".join([*parts, "## All, first seed", _each(results)]))
+    parts = [paragraph_of(__doc__), f"{seeds_flown} Flown at {commits}.", _table(results), NOTE]
+    parts += ["## Beyond 3 %", _beyond(results), "## All, first seed", _each(results)]
+    return Page("horizons", "The controller's horizon", "\n\n".join(parts))
 
 
 def names_of(grids: Sequence[Grid]) -> str:
