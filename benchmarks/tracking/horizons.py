@@ -179,7 +179,7 @@ def _beyond(results: Sequence[Result]) -> str:
 
 def _each(results: Sequence[Result]) -> str:
     rows = ["manoeuvre | met | " + " | ".join(map(name_of, GRIDS)), " | ".join(["---"] * (2 + len(GRIDS)))]
-    for manoeuvre in MANOEUVRES:
+    for manoeuvre in FLOWN:
         for met in MET:
             cells = []
             for grid in GRIDS:
