@@ -31,7 +31,7 @@ from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
 
 
-def tells_best(dataset: Dataset) -> bool:
+def asks_likelihood(dataset: Dataset) -> bool:
     """Whether the likelihood is the one to ask: of a pose that an estimator makes from the sensors that are logged.
 
     Its errors are those of gyro and accelerometer once more, and the controller acts on them. A regression that assumes
@@ -84,8 +84,8 @@ class LikelihoodAnswer:
 def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress = no_progress) -> LikelihoodAnswer:
     """Which effects are missing. first: the regression about the vehicle's own model, with which they are tested."""
     result = identify(likelihood_problem(dataset, first), progress=progress)
-    search, known = result.search, {c.identity for c in first.candidates}
-    named = tuple(one for one in named_effects(result) if one.candidate.identity in known)
+    search, testable = result.search, {c.identity for c in first.candidates}
+    named = tuple(one for one in named_effects(result) if one.candidate.identity in testable)
     fitted = likelihood_fit(search, first, named)
     regression = (about(first, first.candidates, first.nuisances, fitted) if named else None) or first
     own = _in_regression(regression, named, fitted)
@@ -110,8 +110,8 @@ def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named
     values, commands = search.named_values(scored), command_values(search, scored)
     places, count = search.places(scored), len(what.of_commands)
     information = search.total.information(places, count)
-    known = np.concatenate([search.std[places] ** -2.0, np.zeros(count)])
-    covariance = np.linalg.inv(information + np.diag(known))
+    prior = np.concatenate([search.std[places] ** -2.0, np.zeros(count)])
+    covariance = np.linalg.inv(information + np.diag(prior))
     own = np.sqrt(np.diag(covariance)[: len(places)])
     scatter = np.concatenate([np.maximum(deviations(search, scored) / own, 1.0), np.ones(count)])
     covariance = covariance * scatter * scatter[:, None]
@@ -151,9 +151,9 @@ def _accepted(
     fitted, judge = likelihood_fit(search, regression, named), HeldOut(regression, dataset.held_out)
     floor = judge.floor(fitted.vehicle)
     fewer = {c.key: left_out(fitted, c, regression.vehicle)[1] for c in fitted.candidates}
-    changes = {key: judge.channel_changes(vehicle, fitted.vehicle, floor) for key, vehicle in fewer.items()}
+    relevance = {key: judge.channel_changes(vehicle, fitted.vehicle, floor) for key, vehicle in fewer.items()}
     sure = {one.candidate.key: one.probability for one in named}
-    return Accepted(fitted, tuple(refused), changes, sure, floor)
+    return Accepted(fitted, tuple(refused), relevance, sure, floor)
 
 
 def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit | None) -> tuple[Candidate, ...]:

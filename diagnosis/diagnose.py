@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from diagnosis.by_likelihood import answer_by_likelihood, tells_best
+from diagnosis.by_likelihood import answer_by_likelihood, asks_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
@@ -116,7 +116,7 @@ def diagnose_dataset(
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    by_likelihood = tells_best(dataset) if method == "auto" else method == "likelihood"
+    by_likelihood = asks_likelihood(dataset) if method == "auto" else method == "likelihood"
     answer = (_likeliest if by_likelihood else _by_regression)(first, dataset, part_of(progress, 0.35, 1.0))
     regression, selection, accepted = answer.regression, answer.judged.selection, answer.accepted
     judged, before, effects = answer.judged, answer.before, answer.effects

@@ -238,7 +238,7 @@ def _discrete_slopes(
     Most of them change intensities alone, which enter linearly; of the others the whole model is made again.
     """
     here = composition.parts(dict(zip(names, np.exp(logs), strict=True)), plant.conditions)
-    whole, made = combined(compose(here), plant), dict[int, DiscreteModel]()
+    base, made = combined(compose(here), plant), dict[int, DiscreteModel]()
     Qc, R, linear = [], [], []
     for place, name in enumerate(names):
         moved = logs.copy()
@@ -247,15 +247,15 @@ def _discrete_slopes(
         there = composition.parts(values, plant.conditions, here, name)
         if all(_has_dynamics_of(one, other) for one, other in zip(here, there, strict=True)):
             linear.append(place)
-            Qc.append(_by_name(there, whole.noises, "noises", "Qc") - _by_name(here, whole.noises, "noises", "Qc"))
-            R.append(_by_name(there, whole.outputs, "outputs", "R") - _by_name(here, whole.outputs, "outputs", "R"))
+            Qc.append(_by_name(there, base.noises, "noises", "Qc") - _by_name(here, base.noises, "noises", "Qc"))
+            R.append(_by_name(there, base.outputs, "outputs", "R") - _by_name(here, base.outputs, "outputs", "R"))
             continue
         other = _over_row(compose(there), plant)
         made[place] = DiscreteModel(
             *((getattr(other, x) - getattr(model, x)) / STEP for x in ("A", "C", "Q", "S", "R"))
         )
     period, outputs = plant.conditions.period, plant.outputs
-    slopes_of = covariances(whole, period, outputs, np.array(Qc) / STEP, np.array(R) / STEP) if linear else []
+    slopes_of = covariances(base, period, outputs, np.array(Qc) / STEP, np.array(R) / STEP) if linear else []
     made |= dict(zip(linear, slopes_of, strict=True))
     return [made[place] for place in range(len(names))]
 

@@ -55,8 +55,8 @@ def discretise(model: LinearModel, period: float, averaged: Collection[str] = ()
 def covariances(
     model: LinearModel, period: float, averaged: Collection[str], Qc: Floats, R: Floats
 ) -> list[DiscreteModel]:
-    """What intensities Qc (h, k) of a model's noises and variances R (h, m) of single readings make over one row: both
-    enter linearly, so that differences of them do as well. A and C are zero.
+    """Covariances over one row by intensities Qc (h, k) of a model's noises and variances R (h, m) of single readings:
+    both enter linearly, so that differences of them do as well. A and C are zero.
 
     By Gauss's quadrature over a step in which no state decays by more than e, doubled until it is whole.
     """

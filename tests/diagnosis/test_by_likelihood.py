@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, tells_best
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
@@ -31,10 +31,10 @@ def twice_the_drag() -> tuple[Dataset, Vehicle, LikelihoodAnswer]:
 
 def test_it_is_asked_where_an_estimator_makes_every_pose():
     dataset, _, _ = twice_the_drag()
-    assert tells_best(dataset)
+    assert asks_likelihood(dataset)
     for source in ("motion_capture", "unknown"):
         other = replace(dataset.fitted[0], pose_source=source)
-        assert not tells_best(replace(dataset, fitted=(other, *dataset.fitted[1:])))
+        assert not asks_likelihood(replace(dataset, fitted=(other, *dataset.fitted[1:])))
 
 
 def test_the_report_has_the_likelihoods_values_and_deviations():
