@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -42,7 +41,7 @@ from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_c
 from diagnosis.models.pose_errors import with_velocity_errors
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
+from diagnosis.report import CommandGain, Diagnosis, Method, MissingEffect, ParameterValue
 from diagnosis.selection.gust import turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
@@ -67,7 +66,6 @@ from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights.followed import FollowedFlight
 
-Method = Literal["auto", "likelihood", "regression"]
 SEED = 3  # of an estimator's errors that are added, so that the same flights have the same answer
 
 
@@ -106,7 +104,7 @@ def diagnose_dataset(
     catalogue: Mapping[str, Effect],
     thresholds: Thresholds = DEFAULT,
     progress: Progress = no_progress,
-    method: Method = "auto",
+    method: Method | None = None,
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
@@ -116,7 +114,7 @@ def diagnose_dataset(
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    by_likelihood = asks_likelihood(dataset) if method == "auto" else method == "likelihood"
+    by_likelihood = asks_likelihood(dataset) if method is None else method == "likelihood"
     answer = (_likeliest if by_likelihood else _by_regression)(first, dataset, part_of(progress, 0.35, 1.0))
     regression, selection, accepted = answer.regression, answer.judged.selection, answer.accepted
     judged, before, effects = answer.judged, answer.before, answer.effects
@@ -141,6 +139,7 @@ def diagnose_dataset(
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
         command_gain=gain,
+        method=answer.method,
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
@@ -169,6 +168,7 @@ class _Answer:
     judged: _Judged
     before: list[Floats]
     effects: tuple[MissingEffect, ...]
+    method: Method
 
 
 def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
@@ -185,7 +185,7 @@ def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answ
 def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
     answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.8))
     regression = answer.regression
-    before = residuals_in(regression, fit(regression, ()).vehicle, dataset.held_out)
+    before = residuals_in(first, fit(first, ()).vehicle, dataset.held_out)  # with biases by noise about no effects
     judgement = _Judgement(first, regression, answer.selection, dataset, before)
     progress(0.8, "tests of what remains")
     judged = judgement.of(answer.accepted)
@@ -193,7 +193,7 @@ def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _
         answer = answer.without(refuted, dataset)
         judged = judgement.of(answer.accepted)
     effects = with_gust(answer.missing(), judged.selection) if judged.gusty else answer.missing()
-    return _Answer(regression, answer.accepted, judged, before, effects)
+    return _Answer(regression, answer.accepted, judged, before, effects, "likelihood")
 
 
 def _by_regression(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
@@ -206,7 +206,7 @@ def _by_regression(first: Regression, dataset: Dataset, progress: Progress) -> _
     progress(0.75, "tests of what remains")
     accepted, judged = _Judgement(first, regression, selection, dataset, before).revised(accepted)
     effects = missing_effects(regression, judged.selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
-    return _Answer(regression, accepted, judged, before, effects)
+    return _Answer(regression, accepted, judged, before, effects, "regression")
 
 
 def _standing_in(regression: Regression, accepted: Accepted, judged: _Judged) -> tuple[Refused, ...]:

@@ -15,6 +15,8 @@ from diagnosis.regimes import Failure
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
 Outcome = Literal["named", "refused", "not_selected", "impossible"]
 InFlightOutcome = Literal["agrees", "differs", "not_estimated"]
+Method = Literal["likelihood", "regression"]
+MOSTLY = 0.995  # a probability that is not written as 100 %
 
 
 class ParameterValue(msgspec.Struct, frozen=True):
@@ -30,7 +32,8 @@ class MissingEffect(msgspec.Struct, frozen=True):
 
     name, rotor: of the catalogue, and the rotor that it sits on, if any.
     parameters: fitted, or held with a standard deviation of 0.
-    confidence: share of flight resamples that name it, or one of `ambiguous_with`.
+    confidence: by the regression, share of flight resamples that name it, or one of `ambiguous_with`; by the
+        likelihood, its probability beside the other effects.
     ambiguous_with: effects that these flights cannot tell from it.
     """
 
@@ -177,6 +180,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     rotors: each rotor's name with its place and the autopilots' numbers, for people.
     command_gain: None where rotor speeds were measured.
     in_flight: what the models of recorded flights followed, beside what is diagnosed; empty where none did.
+    method: by which the effects were searched.
     """
 
     verdict: Verdict
@@ -192,6 +196,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     next_reference: str = ""
     command_gain: CommandGain | None = None
     in_flight: tuple[FollowedEffect, ...] = ()
+    method: Method = "regression"
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -221,7 +226,7 @@ def _gain_sentence(gain: CommandGain | None) -> str:
 def _verdict_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "explained":
         return f"The model explains these flights down to {_ground(diagnosis.channels)}."
-    named = [_described(effect, diagnosis.rotors) + _look_alikes(effect) for effect in diagnosis.effects]
+    named = [_described(effect, diagnosis) + _look_alikes(effect) for effect in diagnosis.effects]
     missing = ("; and " if any(effect.ambiguous_with for effect in diagnosis.effects) else " and ").join(named)
     if diagnosis.verdict == "unknown":
         partly = f" Part of it looks like {missing}." if missing else ""
@@ -303,7 +308,14 @@ def _of_rotor(rotor: int | None, rotors: Sequence[str]) -> str:
     return f" of {rotors[rotor]}" if rotor < len(rotors) else f" of rotor {rotor}"
 
 
-def _described(effect: MissingEffect, rotors: Sequence[str]) -> str:
-    where = _of_rotor(effect.rotor, rotors)
+def _described(effect: MissingEffect, diagnosis: Diagnosis) -> str:
+    where = _of_rotor(effect.rotor, diagnosis.rotors)
     values = ", ".join(_value_text(name, p.value, p.std, p.unit) for name, p in effect.parameters.items())
-    return f"{effect.name}{where} ({values}; {100 * effect.confidence:.0f} % of flight resamples agree)"
+    return f"{effect.name}{where} ({values}; {confidence_in_words(effect.confidence, diagnosis.method)})"
+
+
+def confidence_in_words(confidence: float, method: Method) -> str:
+    """What a confidence is, with its number."""
+    if method == "regression":
+        return f"{100 * confidence:.0f} % of flight resamples agree"
+    return "probability above 99 %" if confidence > MOSTLY else f"probability {100 * confidence:.0f} %"

@@ -28,7 +28,8 @@ from benchmarks.verdict.posing import LostFlightsError, Posed, pose, recordings
 from benchmarks.verdict.record import Record
 from benchmarks.verdict.scoring import Answer, Outcome, intervals, outcome_of
 from diagnosis.data.dataset import read_dataset
-from diagnosis.diagnose import Method, diagnose_dataset
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.report import Method
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
 from dynamics.vehicle import Vehicle
