@@ -133,7 +133,10 @@ def main() -> None:
         draw_results(folder)
         if "--studio" in sys.argv[1:]:
             return
-        alula("diagnose", *QUESTION, "--vehicle", "px4_sih", "--html", "diagnosis.html", folder=folder)
+        for log in QUESTION:
+            shutil.copy(log, folder)
+        logs = [Path(log).name for log in QUESTION]  # no path of this machine is on the page
+        alula("diagnose", *logs, "--vehicle", "px4_sih", "--html", "diagnosis.html", folder=folder)
         draw(folder / "diagnosis.html", PICTURES / "diagnosis.png", folder)
         alula("demo", "--out", "demo", folder=folder)
         draw(folder / "demo/report.html", PICTURES / "report.png", folder)
