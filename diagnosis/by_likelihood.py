@@ -105,13 +105,13 @@ def likelihood_problem(dataset: Dataset, regression: Regression) -> Problem:
 
 
 def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:
-    """Values and covariance of the named effects and of what lies between command and thrust beside them."""
+    """Values of the named effects and of what lies between command and thrust beside them, by all of the likelihood;
+    their covariance by the share of it that counts as evidence: what makes an effect sure makes its value."""
     what, scored = search.what, search.score([one.number for one in named])
     values, commands = search.named_values(scored), command_values(search, scored)
     places, count = search.places(scored), len(what.of_commands)
-    information = search.total.information(places, count)
     prior = np.concatenate([search.std[places] ** -2.0, np.zeros(count)])
-    covariance = np.linalg.inv(information + np.diag(prior))
+    covariance = np.linalg.inv(search.coarse.information(places, count) + np.diag(prior))
     own = np.sqrt(np.diag(covariance)[: len(places)])
     scatter = np.concatenate([np.maximum(deviations(search, scored) / own, 1.0), np.ones(count)])
     covariance = covariance * scatter * scatter[:, None]
@@ -125,7 +125,7 @@ def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named
         estimates=estimates,
         candidates=chosen,
         covariance=covariance,
-        information=information,
+        information=search.total.information(places, count),
         nuisances=regression.nuisances,
         commands=of_commands,
     )

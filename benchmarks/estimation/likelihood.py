@@ -1,10 +1,10 @@
 """Both methods' answers to the judge's cases, side by side. Writes likelihood.md.
 
 The likelihood (`diagnosis/likelihood`) shall replace the regression; today it is asked of logs whose pose an estimator
-makes. Here both are asked of all: the same flights, the same joint fit of values, the same tests of what remains.
-Outcomes are the judge's (`python -m benchmarks.verdict`). Recordings, RotorPy's and PX4's, have no seeds: those here
-are the ones by which `thresholds.likelihood.trusted` was calibrated, beside flights of the outside simulator of other
-seeds than these.
+makes. Here both are asked of all: the same flights, the same tests of what remains, values each by its own. Outcomes
+are the judge's (`python -m benchmarks.verdict`). Recordings, RotorPy's and PX4's, have no seeds: those here are the
+ones by which `thresholds.likelihood.trusted` was calibrated, beside flights of the outside simulator of other seeds
+than these.
 
     python -m benchmarks estimation likelihood --sets captured rotorpy --first 91000 --jobs 2
 """
