@@ -160,6 +160,12 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
         ),
         "box_qp": Measurement("benchmarks.kernel.box_qp:box_qp", ("box_qp",), KERNEL),
         "limits": Measurement("benchmarks.kernel.limits:limits", ("limits",), KERNEL, ("--problems", "1600")),
+        "programs": Measurement(
+            "benchmarks.kernel.programs:programs",
+            ("programs",),
+            KERNEL,
+            ("--draws", "5", "--flights", "1", *NOT_KEPT),
+        ),
         "jitter": Measurement(
             "benchmarks.kernel.jitter:jitter", ("rti_jitter", "rti_jitter_network"), KERNEL, ("--seconds", "2")
         ),

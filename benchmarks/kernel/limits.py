@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ import scipy.sparse as sp
 
 from benchmarks.kernel.flight import DT, PERIODS, lemniscate, undisturbed
 from benchmarks.measurement import Page, options_of
+from dynamics.arrays import Floats
 from dynamics.model import build_model
 from dynamics.vehicle import Limits
 from dynamics.vehicle_file import read_vehicle
@@ -74,28 +75,11 @@ class Flights:
 def fly(limits: Limits, problems: int, first_seed: int, *, peers: bool) -> Flights:
     """So many quadratic programs of flights with limits; `peers`: with some of the programs."""
     model = build_model(msgspec.structs.replace(VEHICLE, limits=limits))
-    solver, plant = RtiSolver(model, Problem()), RtiSolver(model, Problem())
-    states, thrusts = lemniscate(PERIODS["5.1"])
-    speeds = np.sqrt(VEHICLE.body.mass * thrusts / 4 / VEHICLE.rotors.thrust_constant)
-    flights = Flights(_row_count(solver), [], [])
+    solver = RtiSolver(model, Problem())
+    flights = Flights(row_count(solver), [], [])
     for flight in range(-(-problems // TICKS)):
-        rng = np.random.default_rng(first_seed + flight)
-        leap, noise = LEAP * rng.uniform(), NOISE * rng.uniform()
-        start = rng.integers(0, len(states) - TICKS - 200)
-        state = model.initial_state(states[start].copy())
-        solver.reset(state)
-        moved = np.zeros(3)
-        for tick in range(TICKS):
-            if tick % LEAP_TICKS == 0:
-                moved = leap * rng.uniform(-1, 1, 3)
-            nodes = start + tick + round(solver.problem.node / DT) * np.arange(solver.problem.nodes + 1)
-            solver.state_reference[:, :13], solver.input_reference[:] = states[nodes], speeds[nodes[:-1], None]
-            solver.state_reference[:, :3] += moved
-            expected = solver.propagate(state, solver.inputs[0], DT).copy()
-            solver.shift(DT)
+        for tick, (expected, state) in enumerate(ticks(solver, first_seed + flight)):
             before = solver.inputs.copy()
-            state = plant.propagate(state, before[0], DT) + noise * rng.normal(size=13)
-            state[6:10] /= np.linalg.norm(state[6:10])
             with undisturbed():
                 solver.prepare(expected)
                 status = solver.feedback(state)
@@ -104,12 +88,39 @@ def fly(limits: Limits, problems: int, first_seed: int, *, peers: bool) -> Fligh
             flights.ticks.append((status, report.iterations, report.rows, report.feedback_seconds, step))
             if peers and tick % PEER_EVERY == 0 and report.iterations:
                 flights.programs.append(_program(solver, expected, state, before))
-            if np.linalg.norm(state[:3] - states[start + tick, :3]) > 3 * LEAP:
-                break  # a reference that leaps by metres from fast flight is not one that every flight follows
     return flights
 
 
-def _row_count(solver: RtiSolver) -> int:
+def ticks(solver: RtiSolver, seed: int) -> Iterator[tuple[Floats, Floats]]:
+    """The states expected and measured (nx,) of each tick of a flight, before its preparation, which the caller does.
+
+    The solver has the references of the tick.
+    """
+    model, plant = solver.model, RtiSolver(solver.model, Problem())
+    states, thrusts = lemniscate(PERIODS["5.1"])
+    speeds = np.sqrt(VEHICLE.body.mass * thrusts / 4 / VEHICLE.rotors.thrust_constant)
+    rng = np.random.default_rng(seed)
+    leap, noise = LEAP * rng.uniform(), NOISE * rng.uniform()
+    start = rng.integers(0, len(states) - TICKS - 200)
+    state = model.initial_state(states[start].copy())
+    solver.reset(state)
+    moved = np.zeros(3)
+    for tick in range(TICKS):
+        if tick % LEAP_TICKS == 0:
+            moved = leap * rng.uniform(-1, 1, 3)
+        nodes = start + tick + round(solver.problem.node / DT) * np.arange(solver.problem.nodes + 1)
+        solver.state_reference[:, :13], solver.input_reference[:] = states[nodes], speeds[nodes[:-1], None]
+        solver.state_reference[:, :3] += moved
+        expected = solver.propagate(state, solver.inputs[0], DT).copy()
+        solver.shift(DT)
+        state = plant.propagate(state, solver.inputs[0], DT) + noise * rng.normal(size=13)
+        state[6:10] /= np.linalg.norm(state[6:10])
+        yield expected, state
+        if np.linalg.norm(state[:3] - states[start + tick, :3]) > 3 * LEAP:
+            break  # a reference that leaps by metres from fast flight is not one that every flight follows
+
+
+def row_count(solver: RtiSolver) -> int:
     options = fill_options(solver.problem, solver.model)
     bounded = np.count_nonzero(np.isfinite(options.x_upper)) + bool(np.isfinite(options.thrust_upper))
     return int(bounded) * solver.problem.nodes
@@ -119,7 +130,7 @@ def _program(
     solver: RtiSolver, expected: np.ndarray, state: np.ndarray, before: np.ndarray
 ) -> tuple[BoxProgram, np.ndarray]:
     """The last program, and the gradient that was expected."""
-    options, count = fill_options(solver.problem, solver.model), _row_count(solver)
+    options, count = fill_options(solver.problem, solver.model), row_count(solver)
     size, nodes = solver.gradient.size, solver.problem.nodes
     lower, upper = (np.tile(list(bound), nodes) for bound in (options.u_lower, options.u_upper))
     room = [(bound - before.ravel()) / options.scale for bound in (lower, upper)]

@@ -1,0 +1,229 @@
+"""Ten million seeded quadratic programs: what the feedback takes of the processor, by rows that act.
+
+At every tick of the flights of `kernel limits` the preparation's program is solved for so many seeded states around
+the expected one as well, in C: deviations are drawn up to 10 mm, 50 mm/s, 0.3 degrees and 0.1 rad/s, scaled from
+nothing to all of it. Feedback is `rti_feedback` as in flight: gradient and rows' bounds at the measured state, the own
+quadratic program from its preparation on, at most as many iterations as a flight has, and the new trajectory.
+
+Times are processor time of the thread, and of a program that is slow for its iterations the shortest of five tries, so
+that they are the program's and not those of others on the machine; the first try's are beside them. Every answer is
+looked at: inputs in their box and all numbers finite, and the same bits at each try.
+
+    python -m benchmarks kernel programs [--draws 260] [--flights 25]     half an hour of one core
+
+It goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from benchmarks.kernel.limits import CASES, NOISE, VEHICLE, row_count, ticks
+from benchmarks.measurement import Page, measured, options_of
+from dynamics.arrays import Floats
+from dynamics.codegen import build_library
+from dynamics.model import Model, build_model
+from runtime.control.rti.compilation import solver_recipe
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from runtime.control.rti.solver import RtiSolver
+
+ENTRY = "programs.c"
+GROUPS = (0, 20, 40, 60, 80, 100, 9999)  # the most acting rows of each
+TIMES, ITERATIONS = 2000, 64  # bins, of 1 us and of 1
+GOAL, STEP_GOAL = 100, 2.0  # us, and of the median step
+HORIZONS = {"20 nodes, 1 s": Problem(), "14 nodes, 0.7 s": Problem(nodes=14, horizon=0.7)}
+SHORT = 10  # one in so many flights for horizons other than the default
+
+Case = tuple[str, str, int]
+
+
+class Report(ctypes.Structure):
+    """The C struct programs_report."""
+
+    _fields_ = (
+        ("times", ctypes.c_longlong * TIMES * len(GROUPS)),
+        ("steps", ctypes.c_longlong * (2 * TIMES)),
+        ("iterations", ctypes.c_longlong * ITERATIONS * len(GROUPS)),
+        ("programs", ctypes.c_longlong * len(GROUPS)),
+        ("cut", ctypes.c_longlong * len(GROUPS)),
+        *((name, ctypes.c_longlong) for name in ("failed", "infeasible", "differing")),
+        ("once", ctypes.c_double * len(GROUPS)),
+        ("worst", ctypes.c_double * len(GROUPS)),
+        ("worst_step", ctypes.c_double),
+        ("median", ctypes.c_double * ITERATIONS),
+        ("most_rows", ctypes.c_int),
+        ("most_iterations", ctypes.c_int),
+    )
+
+
+SUMS = ("times", "steps", "iterations", "programs", "cut", "failed", "infeasible", "differing")
+LARGEST = ("once", "worst", "worst_step", "most_rows", "most_iterations")
+
+
+@cache
+def compiled(limits: str, horizon: str) -> tuple[Model, Path]:
+    """A model with limits, and its kernel with `solve_programs` beside its own functions."""
+    model = build_model(msgspec.structs.replace(VEHICLE, limits=CASES[limits]))
+    sources, flags = solver_recipe(model, HORIZONS[horizon], native_processor())
+    sources = {**sources, ENTRY: (Path(__file__).parent / ENTRY).read_text()}
+    return model, build_library(sources, flags=flags, entry=ENTRY)
+
+
+def _address(values: Floats) -> ctypes.c_void_p:
+    return ctypes.c_void_p(values.ctypes.data)
+
+
+def solve_flight(case: tuple[Case, int]) -> Mapping[str, Any]:
+    """Counts and times of the programs of one flight; a case is limits, horizon, seed, and draws at each tick."""
+    (limits, horizon, seed), draws = case
+    model, path = compiled(limits, horizon)
+    solver, code = RtiSolver(model, HORIZONS[horizon], library=path), ctypes.CDLL(str(path))
+    report, groups = Report(), (ctypes.c_int * len(GROUPS))(*GROUPS)
+    for tick, (expected, state) in enumerate(ticks(solver, seed)):
+        code.solve_programs(
+            ctypes.c_void_p(solver.addresses.handle),
+            _address(expected),
+            _address(solver.state_reference),
+            _address(solver.input_reference),
+            ctypes.c_ulonglong(seed * 10**6 + tick),
+            draws,
+            _address(NOISE),
+            groups,
+            ctypes.byref(report),
+        )
+        solver.prepare(expected)
+        solver.feedback(state)
+    numbers = {name: np.array(getattr(report, name)).tolist() for name in (*SUMS, *LARGEST)}
+    return {
+        "key": f"{limits}/{horizon}/{seed}/{draws}",
+        "limits": limits,
+        "horizon": horizon,
+        "rows": row_count(solver),
+    } | numbers
+
+
+def together(results: Iterable[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Sums of counts and the largest of times over flights."""
+    results = list(results)
+    sums = {name: np.sum([result[name] for result in results], axis=0) for name in SUMS}
+    return sums | {name: np.max([result[name] for result in results], axis=0) for name in (*LARGEST, "rows")}
+
+
+def quantile(counts: np.ndarray, share: float) -> int:
+    """The bin in which the share of all counts (n,) is reached."""
+    return int(np.searchsorted(np.cumsum(counts), share * counts.sum()))
+
+
+def numbers_of(times: np.ndarray, iterations: np.ndarray) -> str:
+    """Cells: median, 99th and 99.9th percentile of times in bins (n,); median and most iterations."""
+    marks = " | ".join(str(quantile(times, share)) for share in (0.5, 0.99, 0.999))
+    return f"{quantile(iterations, 0.5)} | {np.flatnonzero(iterations).max()} | {marks}"
+
+
+def row(name: str, every: Mapping[str, np.ndarray]) -> str:
+    """Line of the table of limits."""
+    step = quantile(every["steps"], 0.5)
+    programs = every["programs"].sum()
+    return (
+        f"| {name} | {programs} | {every['rows']} | {every['most_rows']} | "
+        f"{numbers_of(every['times'].sum(axis=0), every['iterations'].sum(axis=0))} | "
+        f"{1e6 * every['worst'].max():.0f} | {1e6 * every['once'].max():.0f} | {step} | "
+        f"{1e6 * every['worst_step'] / step:.2f} | {every['cut'].sum()} ({every['cut'].sum() / programs:.2%}) | "
+        f"{every['failed']} | {every['infeasible']} |"
+    )
+
+
+HEADER = (
+    "limits", "programs", "rows", "acting, most", "iterations, median", "most", "feedback us, median", "p99", "p99.9",
+    "worst", "worst at first try", "step us, median", "worst step / median", "cut", "failed", "not feasible",
+)  # fmt: skip
+ACTING = (
+    "rows that act", "programs", "iterations, median", "most", "feedback us, median", "p99", "p99.9", "worst",
+    "worst at first try", "cut",
+)  # fmt: skip
+
+
+def head(names: Sequence[str]) -> list[str]:
+    """The first two lines of a table."""
+    return [f"| {' | '.join(names)} |", "| --- " * len(names) + "|"]
+
+
+def acting_rows(every: Mapping[str, np.ndarray]) -> list[str]:
+    """Lines of the table by the number of acting rows."""
+    lines = head(ACTING)
+    for group, most in enumerate(GROUPS):
+        programs = every["programs"][group]
+        if not programs:
+            continue
+        least = GROUPS[group - 1] + 1 if group else 0
+        name = (
+            "0"
+            if not group
+            else f"{least} to {most}"
+            if group < len(GROUPS) - 1
+            else f"{least} to {every['most_rows']}"
+        )
+        lines.append(
+            f"| {name} | {programs} | {numbers_of(every['times'][group], every['iterations'][group])} | "
+            f"{1e6 * every['worst'][group]:.0f} | {1e6 * every['once'][group]:.0f} | "
+            f"{every['cut'][group] / programs:.2%} |"
+        )
+    return lines
+
+
+def verdict(every: Mapping[str, np.ndarray]) -> str:
+    """Whether the goals are met."""
+    worst = 1e6 * every["worst"].max()
+    times = every["times"].sum(axis=0)
+    within = times[:GOAL].sum() / times.sum()
+    return (
+        f"Goal: feedback of at most {GOAL} us in the worst: {'met' if worst <= GOAL else 'missed'}, {worst:.0f} us; "
+        f"{within:.2%} of the programs are within it. Answers that differ between tries: {every['differing']}."
+    )
+
+
+def programs(words: Sequence[str]) -> Page:
+    """The measurement's page."""
+    parser = options_of(__doc__, jobs=1, resumes="programs", draws=260, flights=25, seed=0)
+    options = parser.parse_args(words)
+    cases = [
+        (limits, horizon, options.seed + flight)
+        for place, horizon in enumerate(HORIZONS)
+        for flight in range(options.flights if not place else -(-options.flights // SHORT))
+        for limits in CASES
+    ]
+    results = measured(
+        solve_flight,
+        [(case, options.draws) for case in cases],
+        options,
+        lambda result: f"{result['key']}: {sum(result['programs'])}, {1e6 * max(result['worst']):.0f} us",
+        key_of=lambda case: "/".join(map(str, (*case[0], case[1]))),
+    )
+    lines = []
+    for horizon in HORIZONS:
+        flown = [result for result in results if result["horizon"] == horizon]
+        if not flown:
+            continue
+        every = together(flown)
+        by_limits = {name: [result for result in flown if result["limits"] == name] for name in CASES}
+        lines += ["", f"## {horizon}: {every['programs'].sum()} programs", "", verdict(every), "", *head(HEADER)]
+        lines += [row(name, together(each)) for name, each in by_limits.items() if each]
+        lines += ["", *acting_rows(every)]
+    return Page("programs", "Seeded quadratic programs of the feedback, one core", TEXT + "\n".join(lines))
+
+
+TEXT = (
+    "Feedback is from the measured state to the new inputs, in C. Every answer was looked at: 'not feasible' are "
+    "inputs outside of their box or numbers that are not finite. Cut are programs that reached the iterations of a "
+    f"flight ({Problem().iterations}): their inputs keep their bounds, and the flight says so (`solver_cut`). A step is a "
+    "preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, of slow "
+    "programs the shortest of five tries.\n"
+)
