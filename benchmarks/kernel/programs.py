@@ -223,7 +223,7 @@ def programs(words: Sequence[str]) -> Page:
 TEXT = (
     "Feedback is from the measured state to the new inputs, in C. Every answer was looked at: 'not feasible' are "
     "inputs outside of their box or numbers that are not finite. Cut are programs that reached the iterations of a "
-    f"flight ({Problem().iterations}): their inputs keep their bounds, and the flight says so (`solver_cut`). A step is a "
-    "preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, of slow "
+    f"flight ({Problem().iterations}): their inputs keep their bounds, and the flight says so (`solver_cut`). A step "
+    "is a preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, of slow "
     "programs the shortest of five tries.\n"
 )
