@@ -41,9 +41,10 @@ from runtime.flight.contact import uprightness
 from runtime.flight.decision import FlyerSettings, LastSetpointMode
 from runtime.flight.events import Event
 from runtime.flight.health import HealthLimits
-from runtime.flight.last_setpoint import LAND_SPEED, TOUCH_SPEED, TOUCH_UPRIGHT, failing_share, last_setpoint_model
+from runtime.flight.last_setpoint import LAND_SPEED, TOUCH_SPEED, TOUCH_UPRIGHT, last_setpoint_model
 from runtime.flight.mission import Plan
 from runtime.flight.phases import Phase
+from runtime.flight.plan_review import failing_share
 from simulation.mock_process import free_port
 from simulation.whole_flight import CARRIED, Lockstep, WholeFlight, fly_whole
 from sitl_mock.autopilot.autopilot import Autopilot

@@ -6,7 +6,7 @@
 #define TIME_BINS 2000 /* of 1 us; the last one holds what takes longer */
 #define ITERATION_BINS 64
 #define TRIES 5 /* of a slow one, the shortest counts: another program or an interrupt is not in all of them */
-#define SLOW 1.1 /* times the median of as many iterations */
+#define SLOW 1.35 /* times the median of as many iterations */
 #define FOLLOWING 0.005 /* of itself, by which the median moves with each program */
 
 /* Counts by group of acting rows; times are this thread's processor time, s. */
@@ -15,7 +15,7 @@ typedef struct {
     long long programs[GROUPS], cut[GROUPS], failed, infeasible, differing;
     double once[GROUPS], worst[GROUPS]; /* the slowest at its first try, and by its shortest try */
     double worst_step, median[ITERATION_BINS];
-    int most_rows, most_iterations;
+    int max_rows, max_iterations;
 } programs_report;
 
 typedef struct {
@@ -104,15 +104,16 @@ void solve_programs(rti *kernel, const double *x, const double *x_reference, con
         const int iterations = r->report.iterations < ITERATION_BINS ? r->report.iterations : ITERATION_BINS - 1;
         double shortest = once, *median = &report->median[iterations];
         if (*median == 0) *median = once;
+        int group = 0;
+        while (group < GROUPS - 1 && rows > groups[group]) group++;
+        const double limit = fmin(SLOW * *median, fmax(report->worst[group], *median)); /* or the slowest up to now */
         memcpy(answer, r->z + X0, sizeof answer);
-        for (int again = 1; again < TRIES && shortest > SLOW * *median; again++) {
+        for (int again = 1; again < TRIES && shortest > limit; again++) {
             shortest = fmin(shortest, feedback_time(r, state));
             report->differing += memcmp(answer, r->z + X0, sizeof answer) != 0;
         }
         *median *= shortest > *median ? 1 + FOLLOWING : 1 - FOLLOWING;
         const double step = preparation + shortest;
-        int group = 0;
-        while (group < GROUPS - 1 && rows > groups[group]) group++;
         report->programs[group]++;
         report->times[group][(int)fmin(1e6 * shortest, TIME_BINS - 1)]++;
         report->steps[(int)fmin(1e6 * step, 2 * TIME_BINS - 1)]++;
@@ -123,8 +124,8 @@ void solve_programs(rti *kernel, const double *x, const double *x_reference, con
         report->once[group] = fmax(report->once[group], once);
         report->worst[group] = fmax(report->worst[group], shortest);
         report->worst_step = fmax(report->worst_step, step);
-        if (rows > report->most_rows) report->most_rows = rows;
-        if (iterations > report->most_iterations) report->most_iterations = iterations;
+        if (rows > report->max_rows) report->max_rows = rows;
+        if (iterations > report->max_iterations) report->max_iterations = iterations;
     }
     restore(r);
 }

@@ -5,8 +5,9 @@ the expected one as well, in C: deviations are drawn up to 10 mm, 50 mm/s, 0.3 d
 nothing to all of it. Feedback is `rti_feedback` as in flight: gradient and rows' bounds at the measured state, the own
 quadratic program from its preparation on, at most as many iterations as a flight has, and the new trajectory.
 
-Times are processor time of the thread, and of a program that is slow for its iterations the shortest of five tries, so
-that they are the program's and not those of others on the machine; the first try's are beside them. Every answer is
+Times are processor time of the thread. A program that is slower than all others of a flight with about as many acting
+rows, or than 1.35 of the median with its iterations, is tried up to five times and the shortest counts, so that the worst
+is the program's and not that of others on the machine; the first try's are beside it. Every answer is
 looked at: inputs in their box and all numbers finite, and the same bits at each try.
 
     python -m benchmarks kernel programs [--draws 260] [--flights 25]     half an hour of one core
@@ -59,13 +60,13 @@ class Report(ctypes.Structure):
         ("worst", ctypes.c_double * len(GROUPS)),
         ("worst_step", ctypes.c_double),
         ("median", ctypes.c_double * ITERATIONS),
-        ("most_rows", ctypes.c_int),
-        ("most_iterations", ctypes.c_int),
+        ("max_rows", ctypes.c_int),
+        ("max_iterations", ctypes.c_int),
     )
 
 
 SUMS = ("times", "steps", "iterations", "programs", "cut", "failed", "infeasible", "differing")
-LARGEST = ("once", "worst", "worst_step", "most_rows", "most_iterations")
+GREATEST = ("once", "worst", "worst_step", "max_rows", "max_iterations")
 
 
 @cache
@@ -101,7 +102,7 @@ def solve_flight(case: tuple[Case, int]) -> Mapping[str, Any]:
         )
         solver.prepare(expected)
         solver.feedback(state)
-    numbers = {name: np.array(getattr(report, name)).tolist() for name in (*SUMS, *LARGEST)}
+    numbers = {name: np.array(getattr(report, name)).tolist() for name in (*SUMS, *GREATEST)}
     return {
         "key": f"{limits}/{horizon}/{seed}/{draws}",
         "limits": limits,
@@ -114,7 +115,7 @@ def together(results: Iterable[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Sums of counts and the largest of times over flights."""
     results = list(results)
     sums = {name: np.sum([result[name] for result in results], axis=0) for name in SUMS}
-    return sums | {name: np.max([result[name] for result in results], axis=0) for name in (*LARGEST, "rows")}
+    return sums | {name: np.max([result[name] for result in results], axis=0) for name in (*GREATEST, "rows")}
 
 
 def quantile(counts: np.ndarray, share: float) -> int:
@@ -133,7 +134,7 @@ def row(name: str, every: Mapping[str, np.ndarray]) -> str:
     step = quantile(every["steps"], 0.5)
     programs = every["programs"].sum()
     return (
-        f"| {name} | {programs} | {every['rows']} | {every['most_rows']} | "
+        f"| {name} | {programs} | {every['rows']} | {every['max_rows']} | "
         f"{numbers_of(every['times'].sum(axis=0), every['iterations'].sum(axis=0))} | "
         f"{1e6 * every['worst'].max():.0f} | {1e6 * every['once'].max():.0f} | {step} | "
         f"{1e6 * every['worst_step'] / step:.2f} | {every['cut'].sum()} ({every['cut'].sum() / programs:.2%}) | "
@@ -159,17 +160,17 @@ def head(names: Sequence[str]) -> list[str]:
 def acting_rows(every: Mapping[str, np.ndarray]) -> list[str]:
     """Lines of the table by the number of acting rows."""
     lines = head(ACTING)
-    for group, most in enumerate(GROUPS):
+    for group, upper in enumerate(GROUPS):
         programs = every["programs"][group]
         if not programs:
             continue
-        least = GROUPS[group - 1] + 1 if group else 0
+        lower = GROUPS[group - 1] + 1 if group else 0
         name = (
             "0"
             if not group
-            else f"{least} to {most}"
+            else f"{lower} to {upper}"
             if group < len(GROUPS) - 1
-            else f"{least} to {every['most_rows']}"
+            else f"{lower} to {every['max_rows']}"
         )
         lines.append(
             f"| {name} | {programs} | {numbers_of(every['times'][group], every['iterations'][group])} | "
@@ -224,6 +225,6 @@ TEXT = (
     "Feedback is from the measured state to the new inputs, in C. Every answer was looked at: 'not feasible' are "
     "inputs outside of their box or numbers that are not finite. Cut are programs that reached the iterations of a "
     f"flight ({Problem().iterations}): their inputs keep their bounds, and the flight says so (`solver_cut`). A step "
-    "is a preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, of slow "
-    "programs the shortest of five tries.\n"
+    "is a preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, the "
+    "worst the shortest of five tries.\n"
 )

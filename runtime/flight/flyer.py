@@ -88,6 +88,7 @@ class Flyer:
         self._settling = Settling(vehicle.weight, min(vehicle.limits.rate[:2]))
         self._ending = Ending()
         self._last_disarm_request = -inf
+        self._standing = False  # whether the flight begins on the ground
 
     @property
     def over(self) -> bool:
@@ -194,6 +195,7 @@ class Flyer:
             self.controllers.read_rotors(observation, free=not self.mission.policy.lands)
         self._checks.take_sent()
         state = self._measured.state
+        self._look_ahead(state)
         if not self.engagement.flying or state is None or not self.mission.airborne:
             self._checks.measure_force(time, None)
             self.controllers.prepared = False
@@ -270,10 +272,12 @@ class Flyer:
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
+        if not was_flying:
+            self._standing = observation.landed or not self.engagement.initially_armed
         if observation.stop:
             decision.transitions += self.engagement.release(STOPPED, observation.time)
         if self.engagement.state is State.ENGAGED and not was_flying:
-            self._begin(observation)
+            self._begin(observation.time)
         state = self._measured.state
         if self.engagement.flying and state is not None:
             if observation.leave:
@@ -283,17 +287,26 @@ class Flyer:
         elif observation.leave:
             decision.transitions += self.engagement.release(observation.leave, observation.time)
 
-    def _begin(self, observation: ObservationRecord) -> None:
+    def _begin(self, time: float) -> None:
         """Start to fly after control was taken: from the ground by the ramp, in the air at once."""
-        state, time = self._measured.state, observation.time
+        state = self._measured.state
         if state is None:
             return
-        if observation.landed or not self.engagement.initially_armed:
+        if self._standing:
             self.mission.ramp(self._takeoff.pose.median(state), time)
         else:
             self.mission.take_over(state, time)
             self.controllers.start(state, time)
         self._checks.pending |= self.last_setpoint.begin()
+
+    def _look_ahead(self, state: Floats | None) -> None:
+        """Look at a part of the flight that is planned, from the moment on in which control is to be taken."""
+        if not self.engagement.streaming:
+            self.last_setpoint.forget_plan()
+        elif state is not None:
+            flying = self.engagement.flying
+            place = state if flying or not self._standing else self._takeoff.pose.median(state)
+            self._checks.pending |= self.last_setpoint.look_ahead(place, standing=self._standing, flying=flying)
 
     def _land(self, reason: str, state: Floats, time: float) -> None:
         """Cut the flight short after an event, or a take-off before it leaves the ground."""

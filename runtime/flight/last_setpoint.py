@@ -13,16 +13,15 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import ACTUATION_DELAY, modelled_motor_lag, motor_time_constant
-from dynamics.state import RATE, VELOCITY
+from dynamics.state import VELOCITY
 from dynamics.trim import FAR_FROM_GROUND
-from dynamics.vehicle import GRAVITY
 from runtime.control.controller import Controller
 from runtime.control.rti.last_setpoint import CheckedSetpoint, LastSetpointCheck, LastSetpointModel, Outcome
 from runtime.flight.decision import Decision, LastSetpointMode
 from runtime.flight.events import Event, Fallback
 from runtime.flight.mission import Mission
-from runtime.flight.motion import Motion
 from runtime.flight.phases import Handler
+from runtime.flight.plan_review import PlanReview
 from runtime.flight.setpoint_output import SetpointOutput
 from runtime.link.estimate import StateEstimate
 from runtime.running_mean import RunningMean
@@ -39,9 +38,6 @@ SPREAD = 0.15  # m/s by which a prediction errs more and more: an estimate's vel
 TOUCH_SPEED, TOUCH_UPRIGHT = 1.5, 0.85  # m/s and cosine of the tilt: a fall from 0.11 m, at 32 degrees
 MIN_LAG = 0.01  # s, of body rates
 MAX_DRAG, DRAG_SPEED, DRAG_TIME = 3.0, 2.0, 0.02  # 1/s; m/s and s of the prediction that shows it
-SAMPLES, MAX_SAMPLED = 150, 600.0  # of a motion that is to be flown, in its first s
-STILL = 1e-6  # rad/s
-MORE_RATE, MORE_THRUST = 0.3, 0.05  # rad/s and share of the weight, by which setpoints are more than their plan's
 # a loop that is throttled in nearly every tick swings or stands: a plan that passes is not all that a flight needs
 REPLACED_TIME, MAX_REPLACED, MAX_TICK = 1.0, 0.7, 0.1  # s of a running mean, share of ticks, s that one counts at most
 NOT_CHECKED = (Fallback.LEVEL_HOLD, Fallback.STOP_STREAMING)  # flown without an estimate
@@ -82,20 +78,6 @@ def linear_drag(controller: Controller) -> float:
     return min(max((DRAG_SPEED - after) / (DRAG_SPEED * DRAG_TIME), 0.0), MAX_DRAG)
 
 
-def failing_share(check: LastSetpointCheck, motion: Motion, duration: float, thrust_constant: float) -> float:
-    """Share of a motion's setpoints that must not be the last ones.
-
-    duration: s of it. thrust_constant: of its inputs, N s^2/rad^2.
-    """
-    times, weight = np.linspace(0.0, min(duration, MAX_SAMPLED), SAMPLES), check.model.mass * GRAVITY
-    states, later = motion.states(times), motion.states(times + check.model.lag[0])[:, RATE]
-    thrusts = thrust_constant * np.sum(motion.inputs(times) ** 2, axis=1)
-    rates = later + MORE_RATE * later / np.maximum(np.linalg.norm(later, axis=1), STILL)[:, None]
-    sent = thrusts + MORE_THRUST * weight * np.sign(thrusts - weight)
-    rows = zip(states, thrusts.tolist(), rates, sent.tolist(), strict=True)
-    return float(np.mean([check.harm(state, 0.0, now, rate, thrust) > 0 for state, now, rate, thrust in rows]))
-
-
 class LastSetpointGuard:
     """Replaces setpoints that must not be the last ones, in the phases in which the controller flies.
 
@@ -118,22 +100,41 @@ class LastSetpointGuard:
         self._exempt = self._given_up = False
         self._replaced, self._counted = RunningMean(REPLACED_TIME, 0.0), inf
         self._check: LastSetpointCheck | None = None
+        self._review: PlanReview | None = None
         if mode != "off":
             model = last_setpoint_model(controller, nominal, loss_time)
             self._check = controller.solver.last_setpoint_check(model)
+            self._review = PlanReview(self._check, self._thrust_constant) if mode == "auto" else None
+
+    def look_ahead(self, state: Floats, *, standing: bool, flying: bool) -> dict[Event, str]:
+        """Look at a part of the planned flight, once a tick's setpoint has left. Returns an event as of `begin`.
+
+        state: (13,) of the vehicle, before control is taken its place of take-off. standing: whether on the ground.
+        """
+        if self._review is None or (flying and self._review.share is not None):
+            return {}
+        complete = self._review.go_on(self._mission, state, standing=standing)
+        return self._judge() if complete and flying else {}
+
+    def forget_plan(self) -> None:
+        """The flight is over, or not to begin: the next one is looked at anew."""
+        if self._review is not None:
+            self._review.clear()
 
     def begin(self) -> dict[Event, str]:
-        """Look at the planned flight once control is taken. Returns the event where it has setpoints that fail."""
+        """Control is taken. Returns the event where the planned flight has setpoints that fail.
+
+        A flight that was not looked at to its end before is checked until it is.
+        """
         self._replaced, self._counted = RunningMean(REPLACED_TIME, 0.0), inf
-        if self._check is None or self._mode != "auto":
+        self._exempt = False
+        return self._judge()
+
+    def _judge(self) -> dict[Event, str]:
+        if self._review is None or not self._review.share or self._check is None:
             return {}
-        self._check.model.ground = self._mission.ground
-        planned = self._mission.planned()
-        shares = [failing_share(self._check, *motion, self._thrust_constant) for motion in planned]
-        share, hold = float(np.mean(shares)), self._check.model.hold
-        self._exempt = share > 0.0
-        if not self._exempt:
-            return {}
+        self._exempt = True
+        share, hold = self._review.share, self._check.model.hold
         text = f"{share:.0%}, held for {hold:.1f} s, end outside of the box or at the ground"
         return {Event.LAST_SETPOINT_UNCHECKED: f"{text}: fly it higher, slower, or with a lower {LOSS_TIME}"}
 

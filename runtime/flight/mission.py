@@ -98,12 +98,11 @@ class Mission:
     def ramp(self, state: Floats, time: float) -> None:
         """Start the take-off. state: (13,), standing on the ground."""
         self._begin()
-        self._home = self._takeoff_frame_pose(state)
-        self._ground = float(self._home[2])
+        here = self._takeoff_frame_pose(state)
+        self._ground = float(here[2])
         if self._plan.origin == "takeoff":
-            self.origin = self._home[POSITION].copy()
-            self._reference = Moved(self._planned, self.origin)
-        self._home[2] += self._plan.height
+            self.origin = here[POSITION].copy()
+        self._home, self._reference = self._home_of(here), self._reference_from(here)
         self._move(Trigger.TAKE_OFF, state, time)
 
     def _begin(self) -> None:
@@ -149,14 +148,27 @@ class Mission:
         """Height of the place of take-off in the estimator's frame, m; -infinite where it is not known."""
         return -math.inf if self._ground is None else self._ground + float(self._offset[2])
 
-    def planned(self) -> tuple[tuple[Motion, float], ...]:
-        """Motions of the flight that is to come, each with the time for which it will be tracked, s.
+    def planned(self, state: Floats, *, standing: bool) -> tuple[float, tuple[tuple[Motion, float], ...]]:
+        """The height of the ground, m, and the motions of a flight that would begin here, each with its time, s.
 
-        In the frame of take-off: the transfer to the reference's start, and the reference.
+        state: (13,). standing: on the ground, which is not known otherwise: its height is -infinite. Motions are in the
+        frame of take-off: the transfer to the reference's start, and the reference.
         """
-        approach = self._transfer(self._home, _pose(self._reference.states(np.zeros(1))[0]))
-        duration = min(self._plan.duration or math.inf, self._reference.duration)
-        return (approach, approach.duration), (self._reference, duration)
+        home, reference, ground = self._takeoff_frame_pose(state), self._planned, -math.inf
+        if standing:
+            ground = float(home[2]) + float(self._offset[2])
+            home, reference = self._home_of(home), self._reference_from(home)
+        approach = self._transfer(home, _pose(reference.states(np.zeros(1))[0]))
+        duration = min(self._plan.duration or math.inf, reference.duration)
+        return ground, ((approach, approach.duration), (reference, duration))
+
+    def _home_of(self, here: Floats) -> Floats:
+        """The pose (4,) to which the vehicle climbs from a pose (4,) on the ground."""
+        return np.asarray(here + np.array([0.0, 0.0, self._plan.height, 0.0]))
+
+    def _reference_from(self, here: Floats) -> Motion:
+        """The reference of a flight that begins on the ground at a pose (4,)."""
+        return Moved(self._planned, here[POSITION].copy()) if self._plan.origin == "takeoff" else self._planned
 
     def settle(self, state: Floats, time: float) -> None:
         """Take thrust away level, after a contact. state: (13,)."""

@@ -17,12 +17,14 @@ from dynamics.vehicle import GRAVITY, Limits, Vehicle
 from runtime.control.controller import Controller
 from runtime.control.rti.last_setpoint import LastSetpointCheck, LastSetpointModel, Outcome
 from runtime.flight.decision import FlyerSettings
+from runtime.flight.engagement import State
 from runtime.flight.events import Event
 from runtime.flight.last_setpoint import last_setpoint_model
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
 from runtime.flight.phases import Phase
-from tests.support.rate_controlled_vehicle import Flight
+from runtime.flight.plan_review import PIECE, SAMPLES
+from tests.support.rate_controlled_vehicle import PERIOD, Flight
 
 STEP = 0.005  # s, of the simulation in this file
 BOX = ((-6.0, -6.0, -1.0), (6.0, 6.0, 8.0))
@@ -246,6 +248,53 @@ def test_a_disturbed_flight_is_replaced_though_its_plan_passes(arpl_250g: Vehicl
     flight.plant.state[3:6] = [6.0, 0.0, 0.5]  # as after a push
     flight.run(1.0)
     assert Event.LAST_SETPOINT_REPLACED in flight.story.raised
+
+
+def test_the_tick_in_which_control_is_taken_does_not_look_at_the_planned_flight(
+    arpl_250g: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each tick looks at a part, once its setpoint has left, and all is looked at before control is taken."""
+    flight = flight_in(with_box(arpl_250g, SMALL_BOX), "auto", 1.5, 1.6)
+    harm, looks = LastSetpointCheck.harm, list[tuple[bool, State]]()
+    departed = [False]
+    step, prepare = flight.flyer.step, flight.flyer.prepare
+
+    def count(check: LastSetpointCheck, *arguments: Any) -> float:
+        looks.append((departed[0], flight.flyer.engagement.state))
+        return harm(check, *arguments)
+
+    def mark(inner: Any, value: bool) -> Any:
+        def call(*arguments: Any) -> Any:
+            departed[0] = value
+            return inner(*arguments)
+
+        return call
+
+    monkeypatch.setattr(LastSetpointCheck, "harm", count)
+    monkeypatch.setattr(flight.flyer, "step", mark(step, False))
+    monkeypatch.setattr(flight.flyer, "prepare", mark(prepare, True))
+    per_tick = 0
+    while flight.flyer.engagement.state is not State.ENGAGED:
+        before = len(looks)
+        flight.run(PERIOD)
+        per_tick = max(per_tick, len(looks) - before)
+    assert set(looks) == {(True, State.STREAMING)}
+    assert len(looks) == 2 * SAMPLES
+    assert per_tick <= PIECE
+    flight.run(1.0)
+    assert len(looks) == 2 * SAMPLES
+    assert Event.LAST_SETPOINT_UNCHECKED in flight.story.raised
+
+
+def test_a_vehicle_that_was_moved_before_control_is_taken_is_looked_at_where_it_is(arpl_250g: Vehicle) -> None:
+    """A place beside the box's middle from which the same flight leaves the box."""
+    vehicle = with_box(arpl_250g, ((-6.0, -6.0, -1.0), (6.0, 6.0, 8.0)))
+    flight = flight_in(vehicle, "auto", 0.3, 6.0)
+    flight.run(30.0, until=State.STREAMING)
+    flight.run(0.6)
+    flight.plant.state[0] = 5.9
+    flight.run(30.0, until=Phase.CLIMB)
+    assert Event.LAST_SETPOINT_UNCHECKED in flight.story.raised
 
 
 def test_a_flight_that_is_held_back_for_long_goes_on_without_the_check(arpl_250g: Vehicle) -> None:
