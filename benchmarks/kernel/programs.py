@@ -6,8 +6,8 @@ nothing to all of it. Feedback is `rti_feedback` as in flight: gradient and rows
 quadratic program from its preparation on, at most as many iterations as a flight has, and the new trajectory.
 
 Times are processor time of the thread. A program that is slower than all others of a flight with about as many acting
-rows, or than 1.35 of the median with its iterations, is tried up to five times and the shortest counts, so that the worst
-is the program's and not that of others on the machine; the first try's are beside it. Every answer is
+rows, or than 1.35 of the median with its iterations, is tried up to five times and the shortest counts, so that the
+worst is the program's and not that of others on the machine; the first try's are beside it. Every answer is
 looked at: inputs in their box and all numbers finite, and the same bits at each try.
 
     python -m benchmarks kernel programs [--draws 260] [--flights 25]     half an hour of one core
