@@ -108,7 +108,7 @@ def ticks(solver: RtiSolver, seed: int) -> Iterator[tuple[Floats, Floats]]:
     for tick in range(TICKS):
         if tick % LEAP_TICKS == 0:
             moved = leap * rng.uniform(-1, 1, 3)
-        nodes = start + tick + round(solver.problem.node / DT) * np.arange(solver.problem.nodes + 1)
+        nodes = start + tick + np.rint(solver.problem.offsets / DT).astype(int)
         solver.state_reference[:, :13], solver.input_reference[:] = states[nodes], speeds[nodes[:-1], None]
         solver.state_reference[:, :3] += moved
         expected = solver.propagate(state, solver.inputs[0], DT).copy()
