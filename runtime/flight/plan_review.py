@@ -15,7 +15,7 @@ from runtime.flight.mission import Mission
 from runtime.flight.motion import Motion
 
 SAMPLES, MAX_SAMPLED = 150, 600.0  # of a motion that is to be flown, in its first s
-PIECE = 10  # samples a tick: a tenth of a millisecond
+BATCH = 10  # samples a tick: a tenth of a millisecond
 STILL = 1e-6  # rad/s
 MORE_RATE, MORE_THRUST = 0.3, 0.05  # rad/s and share of the weight, by which setpoints are more than their plan's
 MOVED = 0.1  # m or rad that a vehicle moves, before its flight is looked at once more
@@ -46,7 +46,7 @@ def failing(check: LastSetpointCheck, motion: Motion, times: Floats, thrust_cons
 
 
 class PlanReview:
-    """Looks at the transfer to the reference and at the reference, PIECE samples at each call.
+    """Looks at the transfer to the reference and at the reference, BATCH samples at each call.
 
     share: of setpoints that must not be the last ones; None before the look is complete.
     """
@@ -70,7 +70,7 @@ class PlanReview:
         """
         if self._start is None or (self.share is not None and self._has_moved(state)):
             self.share, self._start = None, state
-            self._rest = self._pieces(mission, state, standing)
+            self._rest = self._shares(mission, state, standing)
         if self.share is None:
             self.share = next(self._rest)
             return self.share is not None
@@ -81,13 +81,13 @@ class PlanReview:
         turned = abs(float(state[ATTITUDE] @ self._start[ATTITUDE])) < cos(MOVED / 2)
         return turned or float(np.linalg.norm(state[POSITION] - self._start[POSITION])) > MOVED
 
-    def _pieces(self, mission: Mission, state: Floats, standing: bool) -> Iterator[float | None]:
-        """None after each piece, at the end the share."""
+    def _shares(self, mission: Mission, state: Floats, standing: bool) -> Iterator[float | None]:
+        """None after each batch, at the end the share."""
         ground, motions = mission.planned(state, standing=standing)
         yield None
         count = 0
         for motion, duration in motions:
-            for times in np.split(sampled_times(duration), SAMPLES // PIECE):
+            for times in np.split(sampled_times(duration), SAMPLES // BATCH):
                 self._check.model.ground = ground
                 count += failing(self._check, motion, times, self._thrust_constant)
                 yield None

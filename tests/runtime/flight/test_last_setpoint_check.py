@@ -23,7 +23,7 @@ from runtime.flight.last_setpoint import last_setpoint_model
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
 from runtime.flight.phases import Phase
-from runtime.flight.plan_review import PIECE, SAMPLES
+from runtime.flight.plan_review import BATCH, SAMPLES
 from tests.support.rate_controlled_vehicle import PERIOD, Flight
 
 STEP = 0.005  # s, of the simulation in this file
@@ -280,7 +280,7 @@ def test_the_tick_in_which_control_is_taken_does_not_look_at_the_planned_flight(
         per_tick = max(per_tick, len(looks) - before)
     assert set(looks) == {(True, State.STREAMING)}
     assert len(looks) == 2 * SAMPLES
-    assert per_tick <= PIECE
+    assert per_tick <= BATCH
     flight.run(1.0)
     assert len(looks) == 2 * SAMPLES
     assert Event.LAST_SETPOINT_UNCHECKED in flight.story.raised
