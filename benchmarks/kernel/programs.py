@@ -1,4 +1,4 @@
-"""Ten million seeded quadratic programs: what the feedback takes of the processor, by rows that act.
+"""Seeded quadratic programs, ten million if not interrupted: the feedback's processor time by rows that act.
 
 At every tick of the flights of `kernel limits` the preparation's program is solved for so many seeded states around
 the expected one as well, in C: deviations are drawn up to 10 mm, 50 mm/s, 0.3 degrees and 0.1 rad/s, scaled from
@@ -10,7 +10,7 @@ rows, or than 1.35 of the median with its iterations, is tried up to five times 
 worst is the program's and not that of others on the machine; the first try's are beside it. Every answer is
 looked at: inputs in their box and all numbers finite, and the same bits at each try.
 
-    python -m benchmarks kernel programs [--draws 260] [--flights 25]     half an hour of one core
+    python -m benchmarks kernel programs [--draws 65] [--flights 100]     half an hour of one core
 
 It goes on where it was interrupted.
 """
@@ -39,7 +39,7 @@ from runtime.control.rti.solver import RtiSolver
 ENTRY = "programs.c"
 GROUPS = (0, 20, 40, 60, 80, 100, 9999)  # the most acting rows of each
 TIMES, ITERATIONS = 2000, 64  # bins, of 1 us and of 1
-GOAL, STEP_GOAL = 100, 2.0  # us, and of the median step
+GOAL, STEP_GOAL, PROGRAMS_GOAL = 100, 2.0, 10**7  # us, of the median step, and programs
 HORIZONS = {"20 nodes, 1 s": Problem(), "14 nodes, 0.7 s": Problem(nodes=14, horizon=0.7)}
 SHORT = 10  # one in so many flights for horizons other than the default
 
@@ -137,7 +137,7 @@ def row(name: str, every: Mapping[str, np.ndarray]) -> str:
         f"| {name} | {programs} | {every['rows']} | {every['max_rows']} | "
         f"{numbers_of(every['times'].sum(axis=0), every['iterations'].sum(axis=0))} | "
         f"{1e6 * every['worst'].max():.0f} | {1e6 * every['once'].max():.0f} | {step} | "
-        f"{1e6 * every['worst_step'] / step:.2f} | {every['cut'].sum()} ({every['cut'].sum() / programs:.2%}) | "
+        f"{step_ratio(every):.2f} | {every['cut'].sum()} ({every['cut'].sum() / programs:.2%}) | "
         f"{every['failed']} | {every['infeasible']} |"
     )
 
@@ -180,20 +180,30 @@ def acting_rows(every: Mapping[str, np.ndarray]) -> list[str]:
     return lines
 
 
-def verdict(every: Mapping[str, np.ndarray]) -> str:
+def step_ratio(every: Mapping[str, np.ndarray]) -> float:
+    """The worst step over the median one."""
+    return float(1e6 * every["worst_step"] / quantile(every["steps"], 0.5))
+
+
+def verdict(every: Mapping[str, np.ndarray], by_limits: Iterable[Mapping[str, np.ndarray]]) -> str:
     """Whether the goals are met."""
-    worst = 1e6 * every["worst"].max()
+    worst, ratio = 1e6 * every["worst"].max(), max(step_ratio(each) for each in by_limits)
     times = every["times"].sum(axis=0)
     within = times[:GOAL].sum() / times.sum()
     return (
-        f"Goal: feedback of at most {GOAL} us in the worst: {'met' if worst <= GOAL else 'missed'}, {worst:.0f} us; "
-        f"{within:.2%} of the programs are within it. Answers that differ between tries: {every['differing']}."
+        f"Feedback of at most {GOAL} us in the worst: {_met(worst <= GOAL)}, {worst:.0f} us; {within:.2%} of the "
+        f"programs are within it. Steps of at most {STEP_GOAL:g} times the median: {_met(ratio <= STEP_GOAL)}, "
+        f"{ratio:.2f}. Answers that differ between tries: {every['differing']}."
     )
+
+
+def _met(goal: bool) -> str:
+    return "met" if goal else "missed"
 
 
 def programs(words: Sequence[str]) -> Page:
     """The measurement's page."""
-    parser = options_of(__doc__, jobs=1, resumes="programs", draws=260, flights=25, seed=0)
+    parser = options_of(__doc__, jobs=1, resumes="programs", draws=65, flights=100, seed=0)
     options = parser.parse_args(words)
     cases = [
         (limits, horizon, options.seed + flight)
@@ -209,15 +219,18 @@ def programs(words: Sequence[str]) -> Page:
         lambda result: f"{result['key']}: {sum(result['programs'])}, {1e6 * max(result['worst']):.0f} us",
         key_of=lambda case: "/".join(map(str, (*case[0], case[1]))),
     )
-    lines = []
+    count = sum(sum(result["programs"]) for result in results)
+    lines = ["", f"The goal is {PROGRAMS_GOAL:,} programs; {count:,} were run.", "", TRIED]
     for horizon in HORIZONS:
         flown = [result for result in results if result["horizon"] == horizon]
         if not flown:
             continue
         every = together(flown)
-        by_limits = {name: [result for result in flown if result["limits"] == name] for name in CASES}
-        lines += ["", f"## {horizon}: {every['programs'].sum()} programs", "", verdict(every), "", *head(HEADER)]
-        lines += [row(name, together(each)) for name, each in by_limits.items() if each]
+        flown_by = {name: [result for result in flown if result["limits"] == name] for name in CASES}
+        by_limits = {name: together(each) for name, each in flown_by.items() if each}
+        count = every["programs"].sum()
+        lines += ["", f"## {horizon}: {count} programs", "", verdict(every, by_limits.values()), "", *head(HEADER)]
+        lines += [row(name, each) for name, each in by_limits.items()]
         lines += ["", *acting_rows(every)]
     return Page("programs", "Seeded quadratic programs of the feedback, one core", TEXT + "\n".join(lines))
 
@@ -228,4 +241,10 @@ TEXT = (
     f"flight ({Problem().iterations}): their inputs keep their bounds, and the flight says so (`solver_cut`). A step "
     "is a preparation and a feedback, by limits, since their numbers of rows differ. Times are processor time, the "
     "worst the shortest of five tries.\n"
+)
+TRIED = (
+    "Tried against the miss of 20 nodes, by processor time and the first input's difference from the optimum, in hover "
+    "speed: 4 iterations take about 120 us in the median and differ by up to 6.5 % (5 iterations: 1.5 %), 3 take 90 us "
+    "and differ by up to 23 %. A Cholesky factor of single precision saves 13 % at 5 iterations and its answers are "
+    "wrong. Neither was taken; a shorter horizon alone comes near."
 )
