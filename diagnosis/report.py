@@ -315,7 +315,7 @@ def _described(effect: MissingEffect, diagnosis: Diagnosis) -> str:
 
 
 def confidence_in_words(confidence: float, method: Method) -> str:
-    """What a confidence is, with its number."""
+    """Confidence in words, with its number."""
     if method == "regression":
         return f"{100 * confidence:.0f} % of flight resamples agree"
     return "probability above 99 %" if confidence > MOSTLY else f"probability {100 * confidence:.0f} %"
