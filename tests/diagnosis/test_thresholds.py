@@ -30,7 +30,8 @@ NO_THRESHOLDS = {
     "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
-    "RIGID", "STEP", "LAG_STEP", "SMALL", "SPEEDS", "DOUBLINGS", "MAX_SAVED",  # of arrays, differences, series
+    "MOSTLY",  # a probability that is not written as 100 %
+    "NODES", "RIGID", "STEP", "LAG_STEP", "SMALL", "SPEEDS", "DOUBLINGS", "MAX_SAVED",  # of arrays, differences, series
     "MAX_STEP", "FIRST_DAMPING", "MAX_DAMPING",  # of scoring, which ends at the same optimum
     "BEFORE_READING",  # where a line has its mean effect
     "FREQUENCIES", "AGREEMENT",  # a component of noise and its own spectrum, to rounding
