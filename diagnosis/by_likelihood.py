@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -35,9 +37,10 @@ def asks_likelihood(dataset: Dataset) -> bool:
     """Whether the likelihood is the one to ask: of a pose that an estimator makes from the sensors that are logged.
 
     Its errors are those of gyro and accelerometer once more, and the controller acts on them. A regression that assumes
-    them independent names what is not there; the filter holds them as states.
+    them independent names what is not there; the filter holds them as states. It is one filter, for logs of one kind.
     """
-    return all(segment.pose_source == "estimator" and segment.has_pose for segment in dataset.fitted)
+    kinds = {(round(s.rate), s.rotor_source, s.gyro is None, s.specific_force is None, s.lacks) for s in dataset.fitted}
+    return len(kinds) == 1 and all(s.pose_source == "estimator" and s.has_pose for s in dataset.fitted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +101,13 @@ def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress
 
 
 def likelihood_problem(dataset: Dataset, regression: Regression) -> Problem:
-    """The fitted flights as the filter has them."""
+    """The fitted flights as the filter has them: in pieces, of which all columns fit into memory."""
     vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
-    rows = [make_rows(segment, group) for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True)]
+    longest, rows = regression.thresholds.likelihood.seconds, []
+    for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True):
+        count = math.ceil(segment.duration / longest)
+        ends = [round(i * len(segment) / count) for i in range(count + 1)]
+        rows += [make_rows(segment.between(begin, end), group) for begin, end in itertools.pairwise(ends)]
     return Problem(vehicle, catalogue, rows, candidates(vehicle, catalogue, dataset.fitted))
 
 

@@ -12,7 +12,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     burn_in: s of a segment in which the filter settles. [convention: ten times the turbulence's time constant and more]
     block: s of flight whose sum is one draw of the score's scatter. [definition: longer than innovations correlate]
     first_seconds: of flight on which noise is fitted from afar. [cost]
-    seconds: of flight on which it is fitted. [cost]
+    seconds: of flight on which it is fitted, and of a piece of one at most. [cost: memory in proportion to a piece]
     first_steps: of scoring on the first. [decisions: structures are then thousands apart, or alike]
     steps: the same on the second. [cost]
     converged: gain of the log-likelihood by a step that ends them. [formula: far below one]

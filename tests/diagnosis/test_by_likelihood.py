@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood
+from diagnosis import diagnose
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood, likelihood_problem
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.evidence import Sums
 from diagnosis.selection.regression_of_flights import make_regression
+from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
 from fixtures.real_flights import DATA, px4_sih
@@ -35,6 +38,38 @@ def test_it_is_asked_where_an_estimator_makes_every_pose():
     for source in ("motion_capture", "unknown"):
         other = replace(dataset.fitted[0], pose_source=source)
         assert not asks_likelihood(replace(dataset, fitted=(other, *dataset.fitted[1:])))
+
+
+def test_it_is_not_asked_of_logs_of_two_kinds():
+    dataset, _, _ = twice_the_drag()
+    first, *others = dataset.fitted
+    for other in (replace(first, rate=2 * first.rate), replace(first, specific_force=None)):
+        assert not asks_likelihood(replace(dataset, fitted=(other, *others)))
+
+
+def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
+    dataset, _, answer = twice_the_drag()
+    short = answer.search.problem.thresholds.seconds / 4
+    limits = DEFAULT.likelihood
+    thresholds = msgspec.structs.replace(DEFAULT, likelihood=msgspec.structs.replace(limits, seconds=short))
+    regression = replace(answer.regression, thresholds=thresholds)
+    pieces = likelihood_problem(dataset, regression).flights
+    assert max(len(rows) * rows.period for rows in pieces) <= short + pieces[0].period
+    assert {rows.group for rows in pieces} == set(dataset.flight_of)
+    lasting = sum(segment.duration for segment in dataset.fitted)
+    assert sum(rows.segment.duration for rows in pieces) == pytest.approx(lasting)
+
+
+def test_where_no_filter_fits_the_readings_the_regression_answers(monkeypatch):
+    dataset, vehicle, _ = twice_the_drag()
+
+    def none(*_, **__):
+        raise np.linalg.LinAlgError("no stationary solution")
+
+    monkeypatch.setattr(diagnose, "answer_by_likelihood", none)
+    diagnosis = diagnose.diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
+    assert diagnosis.method == "regression"
+    assert {effect.name for effect in diagnosis.effects} >= {"linear_drag"}
 
 
 def test_the_report_has_the_likelihoods_values_and_deviations():
