@@ -53,11 +53,11 @@ def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
     limits = DEFAULT.likelihood
     thresholds = msgspec.structs.replace(DEFAULT, likelihood=msgspec.structs.replace(limits, seconds=short))
     regression = replace(answer.regression, thresholds=thresholds)
-    pieces = likelihood_problem(dataset, regression).flights
-    assert max(len(rows) * rows.period for rows in pieces) <= short + pieces[0].period
-    assert {rows.group for rows in pieces} == set(dataset.flight_of)
+    parts = likelihood_problem(dataset, regression).flights
+    assert max(len(rows) * rows.period for rows in parts) <= short + parts[0].period
+    assert {rows.group for rows in parts} == set(dataset.flight_of)
     lasting = sum(segment.duration for segment in dataset.fitted)
-    assert sum(rows.segment.duration for rows in pieces) == pytest.approx(lasting)
+    assert sum(rows.segment.duration for rows in parts) == pytest.approx(lasting)
 
 
 def test_where_no_filter_fits_the_readings_the_regression_answers(monkeypatch):
