@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter, lfilter_zi
+import scipy
 
 from diagnosis.data.segment import Segment
 from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
@@ -103,8 +103,8 @@ class FlightRows:
             weights = np.array([later, 1 - decay - later])
         else:
             weights = (1 - decay) * np.array([share, 1 - share])
-        zi = lfilter_zi(weights, [1, -decay])[:, None] * raw[:1]
-        return np.asarray(lfilter(weights, [1, -decay], raw, axis=0, zi=zi)[0])
+        zi = scipy.signal.lfilter_zi(weights, [1, -decay])[:, None] * raw[:1]
+        return np.asarray(scipy.signal.lfilter(weights, [1, -decay], raw, axis=0, zi=zi)[0])
 
 
 def make_rows(segment: Segment, group: int, thresholds: LikelihoodThresholds = DEFAULT.likelihood) -> FlightRows:

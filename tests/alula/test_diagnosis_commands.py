@@ -86,6 +86,7 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
         "next_reference",
         "command_gain",
         "in_flight",
+        "method",
         "alula_version",
     }
     assert set(verdict) == contract | added
