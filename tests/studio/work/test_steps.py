@@ -232,7 +232,7 @@ def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, short_
 
 
 def test_a_log_that_needs_more_memory_than_there_is_ends_with_a_message(tmp_path: Path, short_logs: list[Path]) -> None:
-    worker = Worker(memory=200 << 20)  # it begins with 160 MB, and needs more than 220
+    worker = Worker(memory=225 << 20)  # it begins with less, and needs more
     opened = OpenCase(Case.create(tmp_path / "case"), lambda: worker)
     try:
         opened.case.add_logs(short_logs)
