@@ -103,12 +103,13 @@ def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress
 def likelihood_problem(dataset: Dataset, regression: Regression) -> Problem:
     """The fitted flights as the filter has them: in pieces, of which all columns fit into memory."""
     vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
-    longest, rows = regression.thresholds.likelihood.seconds, []
+    limits, rows = regression.thresholds.likelihood, []
     for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True):
-        count = math.ceil(segment.duration / longest)
+        count = math.ceil(segment.duration / limits.seconds)
         ends = [round(i * len(segment) / count) for i in range(count + 1)]
-        rows += [make_rows(segment.between(begin, end), group) for begin, end in itertools.pairwise(ends)]
-    return Problem(vehicle, catalogue, rows, candidates(vehicle, catalogue, dataset.fitted))
+        rows += [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
+    what = candidates(vehicle, catalogue, dataset.fitted)
+    return Problem(vehicle, catalogue, rows, what, thresholds=limits)
 
 
 def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:

@@ -6,7 +6,7 @@ information M and score g of its columns and the precision P of the catalogue's 
 Every model is wrong by a little, which any number of seconds makes certain. The likelihood in a set's evidence is
 therefore that of `trusted` seconds: a coarsened posterior, which holds for data that are near to the model's, and not
 its own (Miller and Dunson, Robust Bayesian inference via coarsening, Journal of the American Statistical Association,
-2019). Priors are not coarsened, those of nuisances neither. Values and their deviations are those of all.
+2019). Priors are not coarsened, those of nuisances neither. Values are those of all of the likelihood.
 """
 
 from __future__ import annotations

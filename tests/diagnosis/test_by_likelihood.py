@@ -53,7 +53,8 @@ def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
     limits = DEFAULT.likelihood
     thresholds = msgspec.structs.replace(DEFAULT, likelihood=msgspec.structs.replace(limits, seconds=short))
     regression = replace(answer.regression, thresholds=thresholds)
-    parts = likelihood_problem(dataset, regression).flights
+    parts = (problem := likelihood_problem(dataset, regression)).flights
+    assert problem.thresholds is thresholds.likelihood
     assert max(len(rows) * rows.period for rows in parts) <= short + parts[0].period
     assert {rows.group for rows in parts} == set(dataset.flight_of)
     lasting = sum(segment.duration for segment in dataset.fitted)
