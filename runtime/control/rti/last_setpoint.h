@@ -21,6 +21,7 @@
 #define LAST_MIN_THRUST 0.12     /* MPC_THR_MIN */
 #define LAST_REST 0.3            /* m/s, below which the failsafe has braked */
 #define LAST_COUNTER_TILT 0.4    /* rad against the velocity, in which a setpoint that brakes ends at most */
+#define LAST_DEVIATION 0.1       /* of the distance travelled, in which failsafes differ from the one predicted */
 #define LAST_ROOM 0.5            /* of the way to a side of the box, that the margin takes at most */
 #define LAST_ALTERNATIVES 3
 #define LAST_BISECTIONS 3        /* between a setpoint that passes and the one that does not: to 1/8 of the way */
@@ -53,6 +54,7 @@ typedef struct {
     double up[3];                                                  /* the body's z axis, world */
     double low[3], high[3]; /* of the box, with where the vehicle is already */
     double room_low[3], room_high[3]; /* m that the margin may take of the way to them */
+    double start[3];        /* position when the setpoint begins to act */
     double time;            /* s, since the setpoint */
     double outside, impact; /* m outside of the box at most; m/s of a contact that is no landing */
     int touched;
@@ -62,7 +64,8 @@ typedef struct {
 static void last_move(const last_setpoint_model *m, last_setpoint_motion *s, double thrust, double dt) {
     double pull = thrust / m->mass;
     s->time += dt;
-    double margin = m->edge + m->spread * s->time;
+    double way[3] = {s->position[0] - s->start[0], s->position[1] - s->start[1], s->position[2] - s->start[2]};
+    double margin = m->edge + m->spread * s->time + LAST_DEVIATION * sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
     for (int i = 0; i < 3; i++) {
         double a = pull * s->up[i] - m->drag * s->velocity[i] - (i == 2 ? GRAVITY : 0);
         s->position[i] += dt * (s->velocity[i] + 0.5 * dt * a);
@@ -223,6 +226,7 @@ static last_setpoint_motion last_acting(const last_setpoint_model *m, const doub
     }
     last_hold(m, &s, state + RATE, thrust_now, age);
     s.touched = 0, s.outside = s.impact = s.time = 0;
+    memcpy(s.start, s.position, sizeof s.start);
     for (int i = 0; i < 3; i++) {
         s.low[i] = fmin(m->low[i], s.position[i]), s.high[i] = fmax(m->high[i], s.position[i]);
         s.room_low[i] = LAST_ROOM * (s.position[i] - s.low[i]);

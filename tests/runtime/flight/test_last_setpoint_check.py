@@ -30,10 +30,7 @@ STEP = 0.005  # s, of the simulation in this file
 BOX = ((-6.0, -6.0, -1.0), (6.0, 6.0, 8.0))
 SMALL_BOX = ((-2.5, -2.5, -1.0), (2.5, 2.5, 3.0))
 AGE = 0.02  # s
-MODEL_ERROR = 0.12  # of the distance travelled, in which two models of one failsafe differ beyond the check's margins
-RARELY = (
-    0.03  # of the setpoints that pass: 28 of 4,357 that were drawn so left the box, by up to 0.10; one came down hard
-)
+MODEL_ERROR = 0.07  # of the distance travelled, in which two models of one failsafe differ beyond the check's margins
 BRAKING_UPRIGHT = 0.69  # cosine of the 45 degrees at which PX4 brakes: when it still does so is what models differ in
 
 
@@ -137,30 +134,18 @@ RATES = st.lists(st.floats(-8.0, 8.0), min_size=3, max_size=3)
 
 @settings(max_examples=60, deadline=None)
 @given(states(), RATES, st.floats(0.0, 6.0))
-def test_what_leaves_has_no_harm_or_less_than_what_was_given(
+def test_what_leaves_passes_a_simulation_of_its_own(
     check: LastSetpointCheck, state: Floats, rates: list[float], thrust: float
 ) -> None:
-    left = check.check(state, AGE, check.model.mass * GRAVITY, np.array(rates), thrust)
+    now = check.model.mass * GRAVITY
+    left = check.check(state, AGE, now, np.array(rates), thrust)
     if left.outcome is Outcome.NONE_PASSES:
         assert 0.0 < left.harm <= left.harm_given
-    else:
-        assert left.harm == 0.0
-
-
-def test_what_passes_seldom_leaves_the_box_in_a_simulation_of_its_own(check: LastSetpointCheck) -> None:
-    """Another program of the same failsafe: a passing setpoint may leave, rarely and little."""
-    random, now, simulations = np.random.default_rng(11), check.model.mass * GRAVITY, []
-    while len(simulations) < 150:
-        heading = np.array([0.0, 0.0, random.uniform(-math.pi, math.pi)])
-        tilt = np.append(random.uniform(-0.7, 0.7, 2), 0.0)
-        attitude = quaternion.multiply(quaternion.exponential(heading), quaternion.exponential(tilt))
-        position = np.append(random.uniform(-4.0, 4.0, 2), random.uniform(0.5, 6.0))
-        state = np.concatenate([position, random.uniform(-2.0, 2.0, 3), attitude, random.uniform(-2.0, 2.0, 3)])
-        left = check.check(state, AGE, now, random.uniform(-8.0, 8.0, 3), random.uniform(0.0, 6.0))
-        if left.outcome is not Outcome.NONE_PASSES:
-            simulations.append(simulated(check.model, state, now, left.rate_body, left.collective_thrust))
-    assert np.mean([one.outside > 0.0 or one.impact > 0.0 for one in simulations]) <= RARELY
-    assert all(one.outside <= MODEL_ERROR * one.distance for one in simulations)
+        return
+    assert left.harm == 0.0
+    simulation = simulated(check.model, state, now, left.rate_body, left.collective_thrust)
+    assert simulation.impact == 0.0
+    assert simulation.outside <= MODEL_ERROR * simulation.distance
 
 
 @settings(max_examples=200, deadline=None)
