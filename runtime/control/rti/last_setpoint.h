@@ -65,7 +65,8 @@ static void last_move(const last_setpoint_model *m, last_setpoint_motion *s, dou
     double pull = thrust / m->mass;
     s->time += dt;
     double way[3] = {s->position[0] - s->start[0], s->position[1] - s->start[1], s->position[2] - s->start[2]};
-    double margin = m->edge + m->spread * s->time + LAST_DEVIATION * sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+    double distance = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+    double margin = m->edge + m->spread * s->time + LAST_DEVIATION * distance;
     for (int i = 0; i < 3; i++) {
         double a = pull * s->up[i] - m->drag * s->velocity[i] - (i == 2 ? GRAVITY : 0);
         s->position[i] += dt * (s->velocity[i] + 0.5 * dt * a);
