@@ -17,7 +17,7 @@ from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.columns import candidates
 from diagnosis.likelihood.evidence import Search
-from diagnosis.likelihood.flight_rows import make_rows
+from diagnosis.likelihood.flight_rows import FlightRows, make_rows
 from diagnosis.likelihood.identify import command_values, deviations, identify
 from diagnosis.likelihood.named import Named, named_effects
 from diagnosis.likelihood.problem import Problem
@@ -86,7 +86,7 @@ class LikelihoodAnswer:
 
 def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress = no_progress) -> LikelihoodAnswer:
     """Which effects are missing. first: the regression about the vehicle's own model, with which they are tested."""
-    result = identify(likelihood_problem(dataset, first), progress=progress)
+    result = identify(likelihood_problems(dataset, first), progress=progress)
     search, testable = result.search, {c.identity for c in first.candidates}
     named = tuple(one for one in named_effects(result) if one.candidate.identity in testable)
     fitted = likelihood_fit(search, first, named)
@@ -100,16 +100,24 @@ def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress
     return LikelihoodAnswer(search, named, regression, selection, _accepted(search, regression, named, dataset, ()))
 
 
-def likelihood_problem(dataset: Dataset, regression: Regression) -> Problem:
-    """The fitted flights as the filter has them: in pieces, of which all columns fit into memory."""
+def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Problem]:
+    """The fitted flights of each kind of logs as its filter has them: in pieces, of which all columns fit into memory.
+
+    Logs of one kind have readings of the same sensors at about the same rate.
+    """
     vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
-    limits, rows = regression.thresholds.likelihood, []
+    limits = regression.thresholds.likelihood
+    every, rows = candidates(vehicle, catalogue, dataset.fitted), dict[tuple[object, ...], list[FlightRows]]()
     for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True):
         count = math.ceil(segment.duration / limits.seconds)
         ends = [round(i * len(segment) / count) for i in range(count + 1)]
-        rows += [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
-    what = candidates(vehicle, catalogue, dataset.fitted)
-    return Problem(vehicle, catalogue, rows, what, thresholds=limits)
+        made = [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
+        kind = (made[0].readings, round(1 / made[0].period), segment.rotor_source, segment.pose_source)
+        rows.setdefault(kind, []).extend(made)
+    return [
+        Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)
+        for own in rows.values()
+    ]
 
 
 def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:

@@ -7,7 +7,7 @@ share of the model's own motion that it never meets. What lies between a motor c
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.likelihood import priors
 from diagnosis.likelihood.flight_rows import FlightRows
-from diagnosis.likelihood.gain import KINDS
+from diagnosis.likelihood.gain import KINDS, unread
 from diagnosis.likelihood.rigid_body import OUTPUTS, SPEEDS, Along, FlightModel, before_reading
 from diagnosis.models.command_effects import COMMAND_EFFECTS
 from diagnosis.selection.candidates import Candidate, make_candidates
@@ -42,7 +42,7 @@ class Nuisance:
     kind: str
     place: int
     std: float
-    lasts: Literal["flight", "block"]
+    lasts: Literal["always", "flight", "block"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,10 @@ class Candidates:
     def places(self, number: int) -> list[int]:
         """Columns of a candidate."""
         return [i for i, column in enumerate(self.columns) if column.candidate == number]
+
+    def with_errors_of(self, segment: Segment) -> Candidates:
+        """The same candidates beside the errors of logs of the kind of a segment."""
+        return replace(self, nuisances=nuisances(segment))
 
     @property
     def of_commands(self) -> list[int]:
@@ -93,7 +97,12 @@ def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequ
         taken.add(candidate.key)
         every.append(candidate)
     columns = tuple(Column(i, name) for i, c in enumerate(every) for name in (c.free or ("",)))
-    estimated = segments[0].pose_source == "estimator"
+    return Candidates(tuple(every), columns, nuisances(segments[0]))
+
+
+def nuisances(segment: Segment) -> tuple[Nuisance, ...]:
+    """Errors of logs of the kind of one segment."""
+    estimated = segment.pose_source == "estimator"
     level, clock = (priors.LEVEL_OF_ESTIMATOR, priors.FILTER_DELAY) if estimated else (priors.LEVEL, priors.CLOCK)
     force = priors.ACCELEROMETER_OF_AUTOPILOT if estimated else priors.ACCELEROMETER
     own = [Nuisance("gyro", i, priors.GYRO, "flight") for i in range(3)]
@@ -101,10 +110,11 @@ def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequ
     own += [Nuisance("level", i, level, "flight") for i in range(3)]
     turn = priors.FILTER_DELAY if estimated else priors.ATTITUDE_CLOCK
     own += [Nuisance("clock", 0, clock, "flight"), Nuisance("attitude_clock", 0, turn, "flight")]
-    if segments[0].rotor_source == "measured":
+    if segment.rotor_source == "measured":
         own.append(Nuisance("rotor_clock", 0, priors.CLOCK, "flight"))
+        own.append(Nuisance("rotor_clock", 0, priors.HOLD / segment.rate, "always"))
     blocks = [Nuisance(kind, i, priors.DISCREPANCY, "block") for kind in ("force", "turning") for i in range(3)]
-    return Candidates(tuple(every), columns, (*own, *blocks))
+    return (*own, *blocks)
 
 
 def inputs(
@@ -189,6 +199,7 @@ def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floa
     force, turning = acting[:, :, :3].transpose(1, 2, 0), acting[:, :, 3:].transpose(1, 2, 0)
     B = np.zeros((N, 9 + (2 * (readings.shape[2] - 12) if "rotor_speed" in rows.readings else 0), K))
     B[:, 0:3], B[:, 3:6], B[:, 6:9] = dt * force, dt**2 / 2 * turning, dt * turning
+    B[:, unread(rows.readings)] = 0.0
     D = readings.transpose(1, 2, 0).copy()
     D[:, 0:3] += dt / 2 * force
     early = turning if "rotor_speed" in rows.readings else before_reading(turning)

@@ -59,71 +59,92 @@ class Sums:
         return np.block([[self.M[np.ix_(rest, rest)] + slope[own].T @ mixed, mixed.T], [mixed, inner]])
 
 
-def sums(
-    problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool, share: float = 1.0
-) -> Sums:
-    """Marginalise discrepancies of each block, then sensors of each flight, then what all flights share, with the
-    noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters.
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Flights of one kind of logs with their sums. noise: of these logs; its hyperparameters are the last columns."""
+
+    problem: Problem
+    information: Sequence[Information]
+    noise: NoiseSlopes
+
+
+def sums(kinds: Sequence[Kind], *, settled: bool, share: float = 1.0) -> Sums:
+    """Marginalise discrepancies of each block, then sensors of each flight, then what all flights of a kind share, with
+    the noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters; at last
+    what lies between command and thrust.
 
     settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
     share: power of the likelihood.
     """
-    what = problem.what
-    K, present_values = len(what.columns), present(problem)
-    kinds = {lasts: [K + i for i, n in enumerate(what.nuisances) if n.lasts == lasts] for lasts in ("block", "flight")}
-    kinds["always"] = list(what.of_commands)
-    precision = {place: 1 / n.std**2 for place, n in enumerate(what.nuisances, K)}
-    precision |= {what.width + i: value for i, value in enumerate(noise.precision)}
-    for place in what.of_commands:
-        effect = what.all[what.columns[place].candidate].effect
-        precision[place] = 1 / prior_deviation(effect, DEFAULT.command_curve) ** 2
-    pull = {what.width + i: -value for i, value in enumerate(noise.precision * noise.away)}
-    if settled:
-        kinds["always"] += pull
-    pull |= {place: -precision[place] * present_values[place] for place in what.of_commands}
-    columns = [i for i in range(what.width + len(noise.precision) * settled) if i not in kinds["block"]]
-    M_all, g_all, groups = [], [], []
-    for part in information:
-        M, g = _marginal(share * part.M, share * part.g, kinds["block"], columns, precision)
-        M_all.append(M)
-        g_all.append(g)
-        groups += [part.group] * len(M)
-    M_blocks, g_blocks, group = np.concatenate(M_all), np.concatenate(g_all), np.array(groups)
-    for lasts, ids in (("flight", group), ("always", np.zeros(len(group), int))):
-        places = {c: i for i, c in enumerate(columns)}
-        own = [places[c] for c in kinds[lasts]]
-        rest = [i for i in range(len(columns)) if i not in own]
-        P = np.diag([precision[c] for c in kinds[lasts]])
-        M_next, g_next = np.empty((len(group), len(rest), len(rest))), np.empty((len(group), len(rest)))
-        for one in np.unique(ids):
-            here = ids == one
-            total, score = M_blocks[here].sum(0), g_blocks[here].sum(0)
-            inverse = np.linalg.inv(total[np.ix_(own, own)] + P) if own else np.zeros((0, 0))
-            # each block's share: of a quadratic form that is linear in the block once the nuisances' fit is fixed
-            T = np.zeros((len(rest), len(columns)))
-            T[np.arange(len(rest)), rest] = 1.0
-            T[:, own] = -(inverse @ total[np.ix_(own, rest)]).T
-            prior = np.array([pull.get(c, 0.0) for c in kinds[lasts]])
-            offset = -total[np.ix_(rest, own)] @ inverse @ prior
-            M_next[here] = np.einsum("ij,bjk->bik", T, M_blocks[here])[:, :, rest]
-            g_next[here] = g_blocks[here] @ T.T + offset / here.sum()
-            if lasts == "always":
-                shared = inverse, total[np.ix_(own, rest)], score[own] + prior
-        M_blocks, g_blocks, columns = M_next, g_next, [columns[i] for i in rest]
-    now = present_values[: len(columns)]
+    problem = kinds[0].problem
+    present_values, own = present(problem), problem.what.of_commands
+    parts = [_of_kind(kind, settled=settled, share=share) for kind in kinds]
+    M, g = np.concatenate([M for M, _ in parts]), np.concatenate([g for _, g in parts])
+    effects = [problem.what.all[problem.what.columns[place].candidate].effect for place in own]
+    precision = np.array([1 / prior_deviation(effect, DEFAULT.command_curve) ** 2 for effect in effects])
+    rest = [i for i in range(len(problem.what.columns)) if i not in own]
+    M_blocks, g_blocks, shared = _shared(M, g, own, rest, precision, -precision * present_values[own])
+    now = present_values[rest]
     M = M_blocks.sum(0)
     M = (M + M.T) / 2
     return Sums(M, g_blocks.sum(0) + M @ now, M_blocks, g_blocks + M_blocks @ now, now, shared)
 
 
+def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats]:
+    """(b, k, k) and (b, k) of the blocks of one kind of logs: of the candidates' columns alone."""
+    what, noise = kind.problem.what, kind.noise
+    K = len(what.columns)
+    places = {n: [K + i for i, one in enumerate(what.nuisances) if one.lasts == n] for n in ("block", "flight", "always")}
+    precision = np.concatenate([np.zeros(K), [1 / n.std**2 for n in what.nuisances], noise.precision])
+    pull = np.concatenate([np.zeros(what.width), -noise.precision * noise.away])
+    if settled:
+        places["always"] += range(what.width, len(precision))
+    columns = [*range(K), *places["flight"], *places["always"]]
+    M_all, g_all, groups = [], [], []
+    for part in kind.information:
+        M, g = _marginal(share * part.M, share * part.g, places["block"], columns, precision)
+        M_all.append(M)
+        g_all.append(g)
+        groups += [part.group] * len(M)
+    M, g, group = np.concatenate(M_all), np.concatenate(g_all), np.array(groups)
+    for lasts, ids in (("flight", group), ("always", np.zeros(len(group), int))):
+        at = {c: i for i, c in enumerate(columns)}
+        out, others = places[lasts], [c for c in columns if c not in places[lasts]]
+        own, rest = [at[c] for c in out], [at[c] for c in others]
+        M_next, g_next = np.empty((len(group), len(rest), len(rest))), np.empty((len(group), len(rest)))
+        for one in np.unique(ids):
+            here = ids == one
+            M_next[here], g_next[here], _ = _shared(M[here], g[here], own, rest, precision[out], pull[out])
+        M, g, columns = M_next, g_next, others
+    return M, g
+
+
+def _shared(
+    M: Floats, g: Floats, own: Sequence[int], rest: Sequence[int], precision: Floats, pull: Floats
+) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
+    """(b, r, r) and (b, r) of blocks without columns that are one in all of them; and the inverse of these columns'
+    information, that across to the rest, and their score.
+
+    pull: (c,) slope of their log-prior at the present values.
+    """
+    total, score = M.sum(0), g.sum(0)
+    inverse = np.linalg.inv(total[np.ix_(own, own)] + np.diag(precision)) if len(own) else np.zeros((0, 0))
+    # each block's share: of a quadratic form that is linear in the block once the nuisances' fit is fixed
+    T = np.zeros((len(rest), M.shape[1]))
+    T[np.arange(len(rest)), rest] = 1.0
+    T[:, own] = -(inverse @ total[np.ix_(own, rest)]).T
+    offset = -total[np.ix_(rest, own)] @ inverse @ pull
+    M_rest, g_rest = np.einsum("ij,bjk->bik", T, M)[:, :, rest], g @ T.T + offset / len(M)
+    return M_rest, g_rest, (inverse, total[np.ix_(own, rest)], score[own] + pull)
+
+
 def _marginal(
-    M: Floats, g: Floats, out: Sequence[int], rest: Sequence[int], precision: dict[int, float]
+    M: Floats, g: Floats, out: Sequence[int], rest: Sequence[int], precision: Floats
 ) -> tuple[Floats, Floats]:
     """(b, r, r) and (b, r) with some columns marginalised in each block."""
     if not out:
         return M, g
-    P = np.diag([precision[i] for i in out])
-    inner = M[:, out][:, :, out] + P
+    inner = M[:, out][:, :, out] + np.diag(precision[out])
     across = M[:, out][:, :, rest]
     solved = np.linalg.solve(inner, np.concatenate([across, g[:, out][:, :, None]], axis=2))
     M_rest = M[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ solved[:, :, :-1]
@@ -177,17 +198,17 @@ class Scored:
 class Search:
     """Sets of candidates by their evidence.
 
+    kinds: flights of one kind of logs each. problem: of the first; candidates and their values are those of all.
     total, coarse: sums of the likelihood, and of its share that counts as evidence.
     """
 
-    def __init__(
-        self, problem: Problem, information: Sequence[Information], noise: NoiseSlopes, *, settled: bool
-    ) -> None:
-        seconds = sum(len(rows) * rows.period for rows in problem.flights)
+    def __init__(self, kinds: Sequence[Kind], *, settled: bool) -> None:
+        problem = kinds[0].problem
+        seconds = sum(len(rows) * rows.period for kind in kinds for rows in kind.problem.flights)
         share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.problem, self.what = problem, problem.what
-        self.total = sums(problem, information, noise, settled=settled)
-        self.coarse = sums(problem, information, noise, settled=settled, share=share)
+        self.total = sums(kinds, settled=settled)
+        self.coarse = sums(kinds, settled=settled, share=share)
         self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
         self.columns = [self.what.places(i) for i in range(len(self.what.all))]
         names = [c.effect.name for c in self.what.all]  # those of commands are none of the search's

@@ -11,7 +11,6 @@ from diagnosis.data.segment import Segment
 from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
-from dynamics.errors import DataError
 from dynamics.rotation_matrix import exponential, logarithm
 
 MAX_SAVED = 12  # lags whose speeds are saved
@@ -108,13 +107,9 @@ class FlightRows:
 
 
 def make_rows(segment: Segment, group: int, thresholds: LikelihoodThresholds = DEFAULT.likelihood) -> FlightRows:
-    """The rows of a segment. group: number of its flight. Raises DataError for one without a pose."""
-    if not segment.has_pose:
-        raise DataError(
-            f"{segment.flight} has no pose. Wanted attitude and velocity, or position: log them, and fly again."
-        )
+    """The rows of a segment. group: number of its flight."""
     merged = max(1, round(segment.rate / thresholds.row_rate))
-    readings = ["velocity", "attitude"]
+    readings = [*(["velocity"] if segment.has_pose else []), *(["attitude"] if segment.has_attitude else [])]
     readings += ["gyro"] if segment.gyro is not None else []
     readings += ["accelerometer"] if segment.specific_force is not None else []
     readings += ["rotor_speed"] if segment.rotor_source == "measured" else []

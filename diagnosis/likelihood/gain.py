@@ -48,7 +48,7 @@ class Plant:
         return tuple(f"{kind}_{place}" for kind, each in places.items() for place in each)
 
     def rigid(self) -> Floats:
-        """(9, 9) dynamics of the error state (Titterton and Weston, ch. 12, in body axes)."""
+        """(9, 9) dynamics of the error state (Titterton and Weston, ch. 12, in body axes); none of what is not read."""
         F = np.zeros((RIGID, RIGID))
         F[0:3] = self.slope[:3]
         F[0:3, 3:6] -= skew(self.conditions.specific_force)
@@ -56,6 +56,7 @@ class Plant:
         F[3:6, 3:6] -= skew(self.conditions.rate_body)
         F[3:6, 6:9] = np.eye(3)
         F[6:9] = self.slope[3:]
+        decoupled(F, unread(self.readings), -1.0)
         return F
 
     def acting(self, output: str) -> Floats | None:
@@ -76,6 +77,23 @@ class Plant:
         else:
             return None
         return response
+
+
+def unread(readings: Sequence[str]) -> list[int]:
+    """States of the rigid body that logs without a pose do not show: velocity, and attitude where it is not read.
+
+    They stand still: what is not read of a vehicle is as the segment says, and no disturbance moves it.
+    """
+    if "velocity" in readings:
+        return []
+    return [*range(3), *(() if "attitude" in readings else range(3, 6))]
+
+
+def decoupled(matrices: Floats, states: Sequence[int], diagonal: float) -> None:
+    """Leave (..., 9, 9) dynamics of the rigid body no path into some states, nor out of them."""
+    matrices[..., states, :RIGID] = 0.0
+    matrices[..., :RIGID, states] = 0.0
+    matrices[..., states, states] = diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +171,8 @@ def combined(noise: LinearModel, plant: Plant) -> LinearModel:
             H[row, RIGID:] += noise.H[place]
             D[row] += noise.D[place]
             R[row] += noise.R[place]
+    still = unread(plant.readings)
+    F[still, RIGID:], L[still], H[:, still] = 0.0, 0.0, 0.0
     states = (*(f"rigid_{i}" for i in range(RIGID)), *noise.states)
     return LinearModel(states, noise.noises, plant.outputs, F, L, H, noise.Qc, D, R)
 

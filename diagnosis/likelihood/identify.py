@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.likelihood.evidence import Scored, Search, present
+from diagnosis.likelihood.evidence import Kind, Scored, Search, present
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
 from dynamics.arrays import Floats
@@ -16,40 +16,54 @@ from dynamics.progress import Progress, no_progress
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The best set about its own values."""
+    """The best set about its own values. noise: of each kind of logs."""
 
-    noise: NoiseFit
+    noise: tuple[NoiseFit, ...]
     search: Search
     best: Scored
     chi_square: float
 
 
-def identify(problem: Problem, structures: Sequence[str] | None = None, progress: Progress = no_progress) -> Identified:
-    """The best set of effects. structures: of the noise, among which the likelihood decides; by default all."""
-    t = problem.thresholds
+def identify(
+    problems: Sequence[Problem], structures: Sequence[str] | None = None, progress: Progress = no_progress
+) -> Identified:
+    """The best set of effects.
+
+    problems: of the same candidates, one for each kind of logs. structures: of the noise, among which the likelihood
+    decides; by default all that a kind may have.
+    """
+    t = problems[0].thresholds
     progress(0.0, "the noise of the flights")
-    noise = likeliest(problem, structures or structures_of(problem.flights[0].segment))
+    noises = [likeliest(one, structures or structures_of(one.flights[0].segment)) for one in problems]
     members: tuple[int, ...] = ()
     for number in range(t.rounds):
         progress(0.4 + 0.6 * number / t.rounds, "the effects that explain what is left")
-        problem.relinearise(noise.gain)
-        if number == 0:
-            problem.relinearise(noise.gain)
-        information = problem.information(noise.gain, noise.slopes)
+        kinds = [_informed(one, noise, first=number == 0) for one, noise in zip(problems, noises, strict=True)]
         settled = number >= t.settled_rounds
-        search = Search(problem, information, noise.slopes, settled=settled)
+        search = Search(kinds, settled=settled)
         best = search.best(members)
         values = search.named_values(best)
-        step = _step(problem, search, best)
-        chi = sum(i.squares.sum() for i in information) / sum(i.count for i in information)
+        step = _step(search, best)
         same = set(best.members) == set(members)
         members = best.members
         if (same and step < t.settled_step and settled) or number == t.rounds - 1:
             break
-        problem.fitted = values | command_values(search, best)
-        if number == t.settled_rounds - 1:
-            noise = fit_noise(problem, noise.structure, values=noise.values, only=members)
-    return Identified(noise, search, best, float(chi))
+        fitted = values | command_values(search, best)
+        for place, problem in enumerate(problems):
+            problem.fitted = fitted
+            if number == t.settled_rounds - 1:
+                noise = noises[place]
+                noises[place] = fit_noise(problem, noise.structure, values=noise.values, only=members)
+    sums = [part for kind in kinds for part in kind.information]
+    chi_square = sum(part.squares.sum() for part in sums) / sum(part.count for part in sums)
+    return Identified(tuple(noises), search, best, float(chi_square))
+
+
+def _informed(problem: Problem, noise: NoiseFit, *, first: bool) -> Kind:
+    """The sums of one kind of logs, about what its filter predicts."""
+    for _ in range(1 + first):
+        problem.relinearise(noise.gain)
+    return Kind(problem, problem.information(noise.gain, noise.slopes), noise.slopes)
 
 
 def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]]:
@@ -64,7 +78,7 @@ def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]
     return made
 
 
-def _step(problem: Problem, search: Search, best: Scored) -> float:
+def _step(search: Search, best: Scored) -> float:
     """Largest change of a value since the last round, in its standard deviations."""
     places = search.places(best)
     if not places:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
+from diagnosis.likelihood.gain import decoupled, unread
 from diagnosis.likelihood.innovations import Linearised
 from diagnosis.models.batched_function import RowFunction
 from dynamics import quaternion
@@ -122,6 +123,9 @@ class FlightModel:
             moved = np.concatenate([before[:-1] + dt * slope_before[:-1], slope_before[:-1]], axis=1)
             defect = np.concatenate([defect, moved - reference.rotors[1:]], axis=1)
         A, C = _transition(slope, force, w_half, dt, rows.readings, count)
+        still = unread(rows.readings)
+        decoupled(A, still, 1.0 - dt)
+        C[:, :, still], defect[:, still] = 0.0, 0.0
         difference = self._difference(rows, v_half, R_half, spin_up, out)
         conditions = np.concatenate([force - hover_force, w_half], axis=1)
         model = Linearised(A, C, np.ascontiguousarray(conditions))

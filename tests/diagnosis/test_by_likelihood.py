@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from diagnosis import diagnose
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood, likelihood_problem
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood, likelihood_problems
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
@@ -53,7 +53,7 @@ def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
     limits = DEFAULT.likelihood
     thresholds = msgspec.structs.replace(DEFAULT, likelihood=msgspec.structs.replace(limits, seconds=short))
     regression = replace(answer.regression, thresholds=thresholds)
-    parts = (problem := likelihood_problem(dataset, regression)).flights
+    parts = (problem := likelihood_problems(dataset, regression)[0]).flights
     assert problem.thresholds is thresholds.likelihood
     assert max(len(rows) * rows.period for rows in parts) <= short + parts[0].period
     assert {rows.group for rows in parts} == set(dataset.flight_of)

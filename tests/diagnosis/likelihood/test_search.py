@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from diagnosis.likelihood.columns import Candidates, Column, Nuisance
-from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Kind, Search
 from diagnosis.likelihood.gain import NoiseSlopes
 from diagnosis.likelihood.identify import deviations, identify
 from diagnosis.likelihood.problem import Information, Problem
@@ -69,10 +69,15 @@ def made_up(
     return small, parts, designs, readings
 
 
+def search_of(problem: Problem, parts: list[Information]) -> Search:
+    """A search among flights of one kind of logs, whose noise is certain."""
+    return Search([Kind(problem, parts, NO_NOISE)], settled=False)
+
+
 def test_evidence_is_the_ratio_of_the_gaussian_densities():
     """Nuisances and effects as covariances of one long vector: the textbook's answer."""
     problem, parts, designs, readings = made_up(np.random.default_rng(6))
-    search = Search(problem, parts, NO_NOISE, settled=False)
+    search = search_of(problem, parts)
     y = np.concatenate([one.ravel() for one in readings])
 
     def covariance(members: tuple[int, ...]) -> np.ndarray:
@@ -110,7 +115,7 @@ def test_more_of_the_same_flights_makes_a_small_error_of_the_model_no_surer():
     def scored(made, times: int, member: int = 1):
         problem, parts, _, _ = made
         longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
-        return Search(longer, list(parts) * times, NO_NOISE, settled=False).score((member,))
+        return search_of(longer, list(parts) * times).score((member,))
 
     gains = [scored(once, times).evidence for times in (1, 10, 100)]
     assert gains[2] - gains[1] < 0.1 * abs(gains[0]) + 0.1
@@ -131,13 +136,24 @@ def test_an_error_far_beyond_what_sensors_have_is_named_in_flights_of_any_length
         part.g[:] = 15 * problem.what.nuisances[0].std * part.M[:, :, bias]
     for times in (1, 10, 100):
         longer = dataclasses.replace(problem, flights=[*problem.flights] * times)
-        scored = Search(longer, parts * times, NO_NOISE, settled=False).score((column,))
+        scored = search_of(longer, parts * times).score((column,))
         assert scored.evidence > 0.8 * len(parts) * 15**2 / 2
+
+
+def test_flights_of_two_kinds_of_logs_count_as_of_one():
+    """Where nothing is each kind's own, how flights are told apart changes no score."""
+    problem, parts, _, _ = made_up(np.random.default_rng(5), 1.0)
+    two = [Kind(dataclasses.replace(problem, flights=problem.flights), [part], NO_NOISE) for part in parts]
+    together = search_of(dataclasses.replace(problem, flights=[*problem.flights] * 2), parts)
+    apart = Search(two, settled=False)
+    for members in ((1,), (0, 2)):
+        assert apart.score(members).evidence == pytest.approx(together.score(members).evidence, rel=1e-9)
+        np.testing.assert_allclose(apart.score(members).values, together.score(members).values)
 
 
 def test_a_rival_makes_a_set_that_is_nearly_as_likely():
     problem, parts, _, _ = made_up(np.random.default_rng(6))
-    search = Search(problem, parts, NO_NOISE, settled=False)
+    search = search_of(problem, parts)
     best = search.score((1,))
     for within in (0.5, 3.0, 30.0):
         rivals = search.rivals(best, 1, within)
@@ -147,7 +163,7 @@ def test_a_rival_makes_a_set_that_is_nearly_as_likely():
 
 def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
     problem, parts, _, _ = made_up(np.random.default_rng(7))
-    search = Search(problem, parts, NO_NOISE, settled=False)
+    search = search_of(problem, parts)
     search.total.g[:] = -1e6  # a mass far below what it may be
     assert search.score((0,)).evidence == IMPOSSIBLE
     assert search.score((0, 0)).evidence == IMPOSSIBLE
@@ -155,7 +171,7 @@ def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
 
 def named(problem: Problem) -> tuple[dict[str, dict[str, float]], float, dict[str, float]]:
     """Effects by name, the innovations' chi-square, and each one's deviation."""
-    result = identify(problem, ["filtered pose"])
+    result = identify([problem], ["filtered pose"])
     values = result.search.named_values(result.best)
     std = dict(zip(values, deviations(result.search, result.best), strict=True))  # one value each
     names = {i: problem.what.all[i].key for i in values}
