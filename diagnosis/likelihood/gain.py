@@ -21,8 +21,8 @@ KINDS = ("velocity", "attitude", "gyro", "accelerometer", "rotor_speed")
 RIGID = 9  # error of velocity, body axes, of attitude, and of body rate
 DOUBLINGS = 40  # at most: a filter that remembers 2^40 rows has converged
 STEP = 1e-5  # of a hyperparameter's logarithm, for slopes of the discretised model
-Entries = tuple[NDArray[np.int32], NDArray[np.int32], Floats]
-Turning = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], Floats]
+Entries = tuple[NDArray[np.int32], NDArray[np.int32], Floats]  # first of each row, columns, values
+Turning = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], Floats]  # with which condition before values
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class Gain:
 
     A, C, K: (n, n), (m, n) and (n, m). V: (m, m) covariance of the innovations. whitening: (m, m) lower triangular,
     W V W' = 1. log_determinant: of V.
-    turning: triplets (row, column, which, value) of the transition, times specific force or body rate of a row.
+    turning: entries of the transition, times specific force or body rate of a row.
     """
 
     model: DiscreteModel
@@ -368,8 +368,9 @@ def _turning(composition: Composition, values: Mapping[str, float], plant: Plant
         at_column += [*(columns + RIGID)]
         which += [place] * len(rows)
         size += [*slope[rows, columns]]
-    indices = (np.array(at_row, np.int32), np.array(at_column, np.int32), np.array(which, np.int32))
-    return (*indices, np.array(size, float))
+    order = np.argsort(at_row, kind="stable")
+    columns, conditions_of = (np.array(one, np.int32)[order] for one in (at_column, which))
+    return _firsts(np.array(at_row, int), RIGID + len(base)), columns, conditions_of, np.array(size, float)[order]
 
 
 def _without_rigid(matrix: Floats, rows: int) -> Floats:
@@ -380,4 +381,9 @@ def _without_rigid(matrix: Floats, rows: int) -> Floats:
 
 def _entries(matrix: Floats) -> Entries:
     rows, columns = np.nonzero(np.abs(matrix) > 1e-14 * np.abs(matrix).max())
-    return rows.astype(np.int32), columns.astype(np.int32), np.ascontiguousarray(matrix[rows, columns])
+    return _firsts(rows, len(matrix)), columns.astype(np.int32), np.ascontiguousarray(matrix[rows, columns])
+
+
+def _firsts(rows: NDArray[np.int_], count: int) -> NDArray[np.int32]:
+    """(count + 1,) where each row's entries begin among entries in the order of rows."""
+    return np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=count))]).astype(np.int32)

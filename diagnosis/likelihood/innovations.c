@@ -2,63 +2,166 @@
 
    nu(t) = D(t) - C(t) x(t),   x(t+1) = A(t) x(t) + B(t) + K nu(t)        (Anderson and Moore, Optimal Filtering, ch. 5)
 
-   A and C are constant (in triplets) but for the rigid body's own block, which is dense and changes from row to row,
-   and for entries that are proportional to the specific force and the body rate of the row. Columns are contiguous. */
+   A and C are constant and sparse but for the rigid body's own block, which is dense and changes from row to row, and
+   for entries that are proportional to the specific force and the body rate of the row. Columns do not depend on each
+   other: they go through a few rows in groups whose states fit into the nearest cache and whose sums stay in registers. */
 #include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
 #define RIGID 9
+#define LANES 8
+#define ROWS 4 /* that a group of columns goes through while its states are near */
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double))));
 
+/* Rows of a sparse matrix one after another: of row i the entries first[i] to first[i + 1]. which: of the conditions
+   that multiplies an entry; null where none does. */
 typedef struct {
-    const int *row, *column;
+    const int *first, *column, *which;
     const double *value;
-    int count;
-} triplets;
+} sparse;
 
-static void add(double *restrict to, double factor, const double *restrict from, int columns)
+/* A_rigid (N, 9, 9), C_rigid (N, m, 9); A, C, turning beside these. conditions (N, 6). K (n, m). W (m, m) lower
+   triangular: what is returned is W nu. B (N, inputs, k), D (N, m, k): inputs of the first states, and of readings.
+   out (N, m, k). path: (N, n) states of the first column, or null. */
+typedef struct {
+    int rows, states, readings, columns, inputs;
+    const double *A_rigid, *C_rigid;
+    sparse A, C, turning;
+    const double *conditions, *K, *W, *B, *D;
+    double *out, *path;
+} problem;
+
+static inline int least(int a, int b)
 {
-    for (int j = 0; j < columns; j++) to[j] += factor * from[j];
+    return a < b ? a : b;
 }
 
-/* rows, states, readings, columns, inputs: N, n, m, k, and how many of the first states have an input.
-   A_rigid (N, 9, 9), C_rigid (N, m, 9). A, C: constant triplets beside these. turning: triplets of A whose value is
-   times conditions[t][which]. conditions (N, 6). K (n, m). W (m, m) lower triangular: what is returned is W nu.
-   B (N, inputs, k), D (N, m, k). x (n, k): state, in and out. next (n, k), nu (m, k): space.
-   out (N, m, k). path: (N, n) states of the first column, or null. */
-void innovations(int rows, int states, int readings, int columns, int inputs, const double *A_rigid,
-                 const double *C_rigid, int count_A, const int *row_A, const int *column_A, const double *value_A,
-                 int count_C, const int *row_C, const int *column_C, const double *value_C, int count_turning,
-                 const int *row_turning, const int *column_turning, const int *which, const double *value_turning,
-                 const double *conditions, const double *K, const double *W, const double *B, const double *D,
-                 double *x, double *next, double *nu, double *out, double *path)
+/* Fetch numbers in their order: groups of columns then read them out of it. */
+static inline void near(const double *from, size_t count)
 {
-    const size_t width = (size_t)columns, bytes = width * sizeof(double);
-    for (int t = 0; t < rows; t++) {
-        const double *block = A_rigid + (size_t)81 * t, *reading = C_rigid + (size_t)RIGID * readings * t;
-        const double *c = conditions + (size_t)6 * t;
-        if (path)
-            for (int i = 0; i < states; i++) path[(size_t)states * t + i] = x[width * i];
-        memcpy(nu, D + width * readings * t, bytes * readings);
-        for (int i = 0; i < readings; i++)
-            for (int j = 0; j < RIGID; j++)
-                if (reading[RIGID * i + j] != 0) add(nu + width * i, -reading[RIGID * i + j], x + width * j, columns);
-        for (int e = 0; e < count_C; e++) add(nu + width * row_C[e], -value_C[e], x + width * column_C[e], columns);
-        memcpy(next, B + width * inputs * t, bytes * inputs);
-        memset(next + width * inputs, 0, bytes * (states - inputs));
-        for (int i = 0; i < RIGID; i++)
-            for (int j = 0; j < RIGID; j++)
-                if (block[RIGID * i + j] != 0) add(next + width * i, block[RIGID * i + j], x + width * j, columns);
-        for (int e = 0; e < count_A; e++) add(next + width * row_A[e], value_A[e], x + width * column_A[e], columns);
-        for (int e = 0; e < count_turning; e++)
-            add(next + width * row_turning[e], value_turning[e] * c[which[e]], x + width * column_turning[e], columns);
-        for (int i = 0; i < states; i++)
-            for (int j = 0; j < readings; j++)
-                if (K[readings * i + j] != 0) add(next + width * i, K[readings * i + j], nu + width * j, columns);
-        double *white = out + width * readings * t;
-        memset(white, 0, bytes * readings);
-        for (int i = 0; i < readings; i++)
-            for (int j = 0; j <= i; j++)
-                if (W[readings * i + j] != 0) add(white + width * i, W[readings * i + j], nu + width * j, columns);
-        memcpy(x, next, bytes * states);
+    for (size_t i = 0; i < count; i += LANES) __builtin_prefetch(from + i);
+}
+
+/* GROUP vectors of columns. */
+#define DEFINE_PASS(GROUP)                                                                                             \
+    typedef struct {                                                                                                   \
+        lanes of[GROUP];                                                                                               \
+    } group_##GROUP;                                                                                                   \
+                                                                                                                       \
+    static inline group_##GROUP read_##GROUP(const double *from, int count)                                            \
+    {                                                                                                                  \
+        group_##GROUP made;                                                                                            \
+        if (count == GROUP * LANES) {                                                                                  \
+            memcpy(&made, from, sizeof made);                                                                          \
+            return made;                                                                                               \
+        }                                                                                                              \
+        memset(&made, 0, sizeof made);                                                                                 \
+        memcpy(&made, from, (size_t)count * sizeof(double));                                                           \
+        return made;                                                                                                   \
+    }                                                                                                                  \
+                                                                                                                       \
+    static inline void add_##GROUP(group_##GROUP *to, double factor, const group_##GROUP *from)                        \
+    {                                                                                                                  \
+        for (int g = 0; g < GROUP; g++) to->of[g] += factor * from->of[g];                                             \
+    }                                                                                                                  \
+                                                                                                                       \
+    static inline void add_row_##GROUP(group_##GROUP *to, double sign, const sparse *M, int row,                       \
+                                       const double *conditions, const group_##GROUP *x)                               \
+    {                                                                                                                  \
+        for (int e = M->first[row]; e < M->first[row + 1]; e++)                                                        \
+            add_##GROUP(to, sign * M->value[e] * (M->which ? conditions[M->which[e]] : 1.0), x + M->column[e]);        \
+    }                                                                                                                  \
+                                                                                                                       \
+    /* Columns begin to begin + count of row t, from states `now` to `next`. nu: m groups of space. */                 \
+    static inline void row_##GROUP(const problem *p, int t, int begin, int count, const group_##GROUP *now,            \
+                                   group_##GROUP *next, group_##GROUP *nu)                                             \
+    {                                                                                                                  \
+        const int n = p->states, m = p->readings;                                                                      \
+        const size_t k = (size_t)p->columns;                                                                           \
+        const double *block = p->A_rigid + (size_t)RIGID * RIGID * t;                                                  \
+        const double *reading = p->C_rigid + (size_t)RIGID * m * t, *c = p->conditions + (size_t)6 * t;                \
+        const double *B = p->B + k * p->inputs * t + begin, *D = p->D + k * m * t + begin;                             \
+        double *out = p->out + k * m * t + begin;                                                                      \
+        for (int i = 0; i < m; i++) {                                                                                  \
+            group_##GROUP sum = read_##GROUP(D + k * i, count);                                                        \
+            for (int j = 0; j < RIGID; j++) add_##GROUP(&sum, -reading[RIGID * i + j], now + j);                       \
+            add_row_##GROUP(&sum, -1.0, &p->C, i, c, now);                                                             \
+            nu[i] = sum;                                                                                               \
+        }                                                                                                              \
+        for (int i = 0; i < m; i++) {                                                                                  \
+            group_##GROUP sum;                                                                                         \
+            memset(&sum, 0, sizeof sum);                                                                               \
+            for (int j = 0; j <= i; j++) add_##GROUP(&sum, p->W[m * i + j], nu + j);                                   \
+            memcpy(out + k * i, &sum, (size_t)count * sizeof(double));                                                 \
+        }                                                                                                              \
+        for (int i = 0; i < n; i++) {                                                                                  \
+            group_##GROUP sum;                                                                                         \
+            memset(&sum, 0, sizeof sum);                                                                               \
+            if (i < p->inputs) sum = read_##GROUP(B + k * i, count);                                                   \
+            if (i < RIGID)                                                                                             \
+                for (int j = 0; j < RIGID; j++) add_##GROUP(&sum, block[RIGID * i + j], now + j);                      \
+            add_row_##GROUP(&sum, 1.0, &p->A, i, c, now);                                                              \
+            add_row_##GROUP(&sum, 1.0, &p->turning, i, c, now);                                                        \
+            for (int j = 0; j < m; j++) add_##GROUP(&sum, p->K[m * i + j], nu + j);                                    \
+            next[i] = sum;                                                                                             \
+        }                                                                                                              \
+    }                                                                                                                  \
+                                                                                                                       \
+    /* x (n, k): state, in and out. space: 2 n groups for each group of columns, and m more. */                        \
+    static void pass_##GROUP(const problem *p, double *x, group_##GROUP *space)                                        \
+    {                                                                                                                  \
+        const int n = p->states, k = p->columns, width = GROUP * LANES, groups = (k + width - 1) / width;              \
+        group_##GROUP *now = space, *next = space + n * groups, *nu = space + 2 * n * groups;                          \
+        for (int g = 0; g < groups; g++)                                                                               \
+            for (int i = 0; i < n; i++)                                                                                \
+                now[n * g + i] = read_##GROUP(x + k * i + width * g, least(width, k - width * g));                     \
+        for (int first = 0; first < p->rows; first += ROWS) {                                                          \
+            const int last = least(first + ROWS, p->rows);                                                             \
+            near(p->B + (size_t)k * p->inputs * first, (size_t)k * p->inputs * (last - first));                        \
+            near(p->D + (size_t)k * p->readings * first, (size_t)k * p->readings * (last - first));                    \
+            for (int g = 0; g < groups; g++) {                                                                         \
+                group_##GROUP *here = now + n * g, *there = next + n * g;                                              \
+                for (int t = first; t < last; t++) {                                                                   \
+                    if (p->path && g == 0)                                                                             \
+                        for (int i = 0; i < n; i++) p->path[(size_t)n * t + i] = here[i].of[0][0];                     \
+                    row_##GROUP(p, t, width * g, least(width, k - width * g), here, there, nu);                        \
+                    group_##GROUP *swapped = here;                                                                     \
+                    here = there;                                                                                      \
+                    there = swapped;                                                                                   \
+                }                                                                                                      \
+            }                                                                                                          \
+            if ((last - first) % 2) {                                                                                  \
+                group_##GROUP *swapped = now;                                                                          \
+                now = next;                                                                                            \
+                next = swapped;                                                                                        \
+            }                                                                                                          \
+        }                                                                                                              \
+        for (int g = 0; g < groups; g++)                                                                               \
+            for (int i = 0; i < n; i++)                                                                                \
+                memcpy(x + k * i + width * g, now + n * g + i, (size_t)least(width, k - width * g) * sizeof(double));  \
     }
+
+DEFINE_PASS(1)
+DEFINE_PASS(4)
+
+/* x (n, k): state, in and out. space: (2 n + m) (k + 32) + 8 numbers. */
+void innovations(int rows, int states, int readings, int columns, int inputs, const double *A_rigid,
+                 const double *C_rigid, const int *first_A, const int *column_A, const double *value_A,
+                 const int *first_C, const int *column_C, const double *value_C, const int *first_turning,
+                 const int *column_turning, const int *which, const double *value_turning, const double *conditions,
+                 const double *K, const double *W, const double *B, const double *D, double *x, void *space,
+                 double *out, double *path)
+{
+    const problem p = {
+        .rows = rows, .states = states, .readings = readings, .columns = columns, .inputs = inputs,
+        .A_rigid = A_rigid, .C_rigid = C_rigid, .A = {first_A, column_A, NULL, value_A},
+        .C = {first_C, column_C, NULL, value_C}, .turning = {first_turning, column_turning, which, value_turning},
+        .conditions = conditions, .K = K, .W = W, .B = B, .D = D, .out = out, .path = path,
+    };
+    void *groups = (void *)(((uintptr_t)space + sizeof(lanes) - 1) / sizeof(lanes) * sizeof(lanes));
+    if (columns > 2 * LANES)
+        pass_4(&p, x, groups);
+    else
+        pass_1(&p, x, groups);
 }

@@ -16,6 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.codegen import build_library
 from dynamics.trust import load_own_library
 
+LANES = 32  # columns that go through the rows together
 SOURCE = Path(__file__).with_name("innovations.c")
 
 
@@ -50,13 +51,11 @@ class Pass:
         rows, readings, columns = D.shape
         n, gain = len(self.state), self.gain
         out, states = np.empty_like(D), np.empty((rows, n) if path else (0, n))
-        space = np.empty((n, columns)), np.empty((readings, columns))
+        space = np.empty((2 * n + readings) * (columns + LANES) + LANES)
         arrays = [
             *(model.A, model.C),
-            *(len(gain.transition_entries[2]), *gain.transition_entries),
-            *(len(gain.reading_entries[2]), *gain.reading_entries),
-            *(len(gain.turning[3]), *gain.turning),
-            *(model.conditions, gain.K, gain.whitening, B, D, self.state, *space, out, states if path else None),
+            *(*gain.transition_entries, *gain.reading_entries, *gain.turning),
+            *(model.conditions, gain.K, gain.whitening, B, D, self.state, space, out, states if path else None),
         ]
         _library()(rows, n, readings, columns, B.shape[1], *[_argument(value) for value in arrays])
         return out, states
