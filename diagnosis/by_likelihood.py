@@ -33,16 +33,6 @@ from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
 
 
-def asks_likelihood(dataset: Dataset) -> bool:
-    """Whether the likelihood is the one to ask: of a pose that an estimator makes from the sensors that are logged.
-
-    Its errors are those of gyro and accelerometer once more, and the controller acts on them. A regression that assumes
-    them independent names what is not there; the filter holds them as states. It is one filter, for logs of one kind.
-    """
-    kinds = {(round(s.rate), s.rotor_source, s.gyro is None, s.specific_force is None, s.lacks) for s in dataset.fitted}
-    return len(kinds) == 1 and all(s.pose_source == "estimator" and s.has_pose for s in dataset.fitted)
-
-
 @dataclass(frozen=True, eq=False)
 class LikelihoodAnswer:
     """The named effects by the likelihood, and what the tests of their residuals need.

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnosis.by_likelihood import answer_by_likelihood, asks_likelihood
+from diagnosis.by_likelihood import answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
@@ -108,14 +108,14 @@ def diagnose_dataset(
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
-    thresholds: all but those that are applied when flights are read. method: by which effects are searched; by default
-    the one that tells best on such logs. Raises DataError when the flights cannot answer.
+    thresholds: all but those that are applied when flights are read. method: by which effects are searched, by default
+    the likelihood. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    by_likelihood = asks_likelihood(dataset) if method is None else method == "likelihood"
-    answer = (_likeliest if by_likelihood else _by_regression)(first, dataset, part_of(progress, 0.35, 1.0))
+    ask = _by_regression if method == "regression" else _likeliest
+    answer = ask(first, dataset, part_of(progress, 0.35, 1.0))
     regression, selection, accepted = answer.regression, answer.judged.selection, answer.accepted
     judged, before, effects = answer.judged, answer.before, answer.effects
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)

@@ -94,7 +94,8 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
     """(b, k, k) and (b, k) of the blocks of one kind of logs: of the candidates' columns alone."""
     what, noise = kind.problem.what, kind.noise
     K = len(what.columns)
-    places = {n: [K + i for i, one in enumerate(what.nuisances) if one.lasts == n] for n in ("block", "flight", "always")}
+    lasting = ("block", "flight", "always")
+    places = {name: [K + i for i, one in enumerate(what.nuisances) if one.lasts == name] for name in lasting}
     precision = np.concatenate([np.zeros(K), [1 / n.std**2 for n in what.nuisances], noise.precision])
     pull = np.concatenate([np.zeros(what.width), -noise.precision * noise.away])
     if settled:

@@ -1,4 +1,4 @@
-"""The likelihood's answer as diagnosis gives it: which logs it is asked of, its values, and what is taken back."""
+"""The likelihood's answer as diagnosis gives it: its filters, its values, and what is taken back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from diagnosis import diagnose
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, asks_likelihood, likelihood_problems
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, likelihood_problems
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
@@ -32,19 +32,15 @@ def twice_the_drag() -> tuple[Dataset, Vehicle, LikelihoodAnswer]:
     return dataset, vehicle, answer_by_likelihood(first, dataset)
 
 
-def test_it_is_asked_where_an_estimator_makes_every_pose():
-    dataset, _, _ = twice_the_drag()
-    assert asks_likelihood(dataset)
-    for source in ("motion_capture", "unknown"):
-        other = replace(dataset.fitted[0], pose_source=source)
-        assert not asks_likelihood(replace(dataset, fitted=(other, *dataset.fitted[1:])))
-
-
-def test_it_is_not_asked_of_logs_of_two_kinds():
-    dataset, _, _ = twice_the_drag()
+def test_logs_of_two_kinds_have_a_filter_each():
+    dataset, _, answer = twice_the_drag()
     first, *others = dataset.fitted
     for other in (replace(first, rate=2 * first.rate), replace(first, specific_force=None)):
-        assert not asks_likelihood(replace(dataset, fitted=(other, *others)))
+        mixed = replace(dataset, fitted=(other, *others))
+        problems = likelihood_problems(mixed, answer.regression)
+        assert [len({rows.readings for rows in one.flights}) for one in problems] == [1, 1]
+        assert sum(len(one.flights) for one in problems) == len(mixed.fitted)
+        assert all(one.what.all == problems[0].what.all for one in problems)
 
 
 def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
