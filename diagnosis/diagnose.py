@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnosis.by_likelihood import answer_by_likelihood
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
@@ -48,6 +48,7 @@ from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import PerturbedResiduals, Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
+from diagnosis.tried import Tried, tried_alone, tried_by_likelihood
 from diagnosis.verdict import (
     above_floor,
     channel_errors,
@@ -81,6 +82,8 @@ class DiagnosisDetails:
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
     notes: what the user should know of the data.
+    tried: every effect that the flights could show.
+    likelihood: the likelihood's answer, None where the regression's counts.
     followed: what the models of recorded flights followed that the diagnosis was compared with.
     """
 
@@ -95,6 +98,8 @@ class DiagnosisDetails:
     chi_square_before: float
     chi_square_after: float
     notes: tuple[str, ...]
+    tried: tuple[Tried, ...]
+    likelihood: LikelihoodAnswer | None = None
     followed: tuple[FollowedFlight, ...] = ()
 
 
@@ -126,6 +131,7 @@ def diagnose_dataset(
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
     left = leftover(judged.rejected, judged.tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
     refused = (*accepted.refused, *judged.refused)
+    tried = answer.tried
     diagnosis = Diagnosis(
         verdict=judge(effects, judged.rejected),
         effects=effects,
@@ -134,7 +140,7 @@ def diagnose_dataset(
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight(effects, left, refused, quiet, catalogue),
         refused=refused,
-        candidates=considered(selection, effects, refused),
+        candidates=considered(tried, effects, refused),
         leftover=left,
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
@@ -153,6 +159,8 @@ def diagnose_dataset(
         chi_square_before=reduced_chi_square(before, regression.noise),
         chi_square_after=reduced_chi_square(judged.after, regression.noise),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(regression), *_late_signals(refused)),
+        tried=tried,
+        likelihood=answer.likelihood,
     )
 
 
@@ -160,7 +168,7 @@ def diagnose_dataset(
 class _Answer:
     """The effects of one method, and what is left of the flights with them.
 
-    before: (m, 12) held-out residuals without.
+    before: (m, 12) held-out residuals without. likelihood: None where the regression answers.
     """
 
     regression: Regression
@@ -169,6 +177,14 @@ class _Answer:
     before: list[Floats]
     effects: tuple[MissingEffect, ...]
     method: Method
+    likelihood: LikelihoodAnswer | None = None
+
+    @property
+    def tried(self) -> tuple[Tried, ...]:
+        """Every effect that the flights could show."""
+        if self.likelihood is None:
+            return tried_alone(self.judged.selection.singles)
+        return tried_by_likelihood(self.likelihood.search, [one.number for one in self.likelihood.named])
 
 
 def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
@@ -196,7 +212,7 @@ def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _
         answer = answer.without(refuted, dataset)
         judged = judgement.of(answer.accepted)
     effects = with_gust(answer.missing(), judged.selection) if judged.gusty else answer.missing()
-    return _Answer(regression, answer.accepted, judged, before, effects, "likelihood")
+    return _Answer(regression, answer.accepted, judged, before, effects, "likelihood", answer)
 
 
 def _by_regression(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:

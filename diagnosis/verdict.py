@@ -19,9 +19,10 @@ from diagnosis.selection.gust import Gust, signal_of, turbulence_of
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import alone, look_alikes, rivals_of
-from diagnosis.selection.search import IMPOSSIBLE, Scored, Search
+from diagnosis.selection.search import Scored, Search
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
+from diagnosis.tried import Tried
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Parameter
 from dynamics.vehicle import Vehicle
@@ -258,21 +259,20 @@ def judge(effects: Sequence[MissingEffect], rejected: Sequence[Rejection]) -> Ve
 
 
 def considered(
-    selection: Selection, effects: Sequence[MissingEffect], refused: Sequence[Refused]
+    tried: Sequence[Tried], effects: Sequence[MissingEffect], refused: Sequence[Refused]
 ) -> tuple[Considered, ...]:
-    """Every effect that the flights could show, alone at its best grid point, and what became of it."""
+    """Every effect that the flights could show, at the point that fits best, and what became of it."""
     named = {effect.name for effect in effects}
     rejected = {one.name for one in refused}
 
-    def entry(single: Scored) -> Considered:
-        candidate, possible = single.candidates[0], single.score > IMPOSSIBLE
-        name = candidate.effect.name
-        outcome: Outcome = "not_selected" if possible else "impossible"
+    def entry(one: Tried) -> Considered:
+        name = one.candidate.effect.name
+        outcome: Outcome = "not_selected" if one.score is not None else "impossible"
         if name in named or name in rejected:
             outcome = "named" if name in named else "refused"
-        return Considered(name, candidate.rotor, single.score if possible else None, outcome)
+        return Considered(name, one.candidate.rotor, one.score, outcome)
 
-    return tuple(entry(single) for single in selection.singles)
+    return tuple(entry(one) for one in tried)
 
 
 def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:

@@ -99,12 +99,12 @@ def _ranking(diagnosed: Diagnosed) -> Any:
         }
         for one in diagnosed.ranking
     ]
-    columns = [
+    columns: list[dict[str, Any]] = [
         {"field": "effect", "headerName": "effect", "pinned": "left", "width": 190},
         {"field": "outcome", "headerName": "outcome", "width": 120},
         {
             "field": "score",
-            "headerName": "score alone",
+            "headerName": "log odds" if diagnosed.by_likelihood else "score alone",
             "width": 120,
             "type": "numericColumn",
             "valueFormatter": {"function": "params.value == null ? '' : d3.format(',.4~g')(params.value)"},

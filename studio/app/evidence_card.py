@@ -15,6 +15,7 @@ from dash import ALL, Input, Output, State, ctx, dcc, html, no_update
 from plotly.subplots import make_subplots
 
 from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
+from diagnosis.thresholds import DEFAULT
 from dynamics.errors import AlulaError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import effect_text
@@ -32,6 +33,8 @@ from studio.work.results import GRID, Diagnosed, Evidence, Rows, Slider
 MARKS = 4  # steps of a slider between two values of its grid
 HEIGHT = 460  # px of both pictures
 MOVED = "with the effect"  # name of the lines that a slider moves
+MIN_LOG_ODDS = -12.0  # log of the odds down to which a score is drawn
+CURVE = 201  # points of a score's curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +127,11 @@ def _evidence(opened: OpenCase, evidence: Evidence, diagnosed: Diagnosed, scheme
     before, after = diagnosed.pictures["regimes"], evidence.pictures["regimes_after"]
     spectrum = evidence.pictures["spectrum"]
     return card(
-        f"{evidence.key}, alone",
+        f"{evidence.key}, {_company(evidence)}",
         dmc.Text(
             [html.B("Fits best at "), evidence.value or "no value", f"; explains {shares} of the error above noise."]
         ),
+        *_odds(evidence),
         html.Pre(evidence.formula, className="command", tabIndex=0),
         *sliders,
         dcc.Store(id="evidence-slider"),
@@ -155,7 +159,7 @@ def _evidence(opened: OpenCase, evidence: Evidence, diagnosed: Diagnosed, scheme
         ),
         grid(
             redraw.lines_graph("evidence-lines", "Lines: measurement, present model, and with the effect", HEIGHT),
-            redraw.lines_graph("evidence-errors", "Lines: error over floor for each value of the parameter", HEIGHT),
+            redraw.lines_graph("evidence-errors", "Lines: score and error for each value of the parameter", HEIGHT),
             width=520,
         ),
         grid(
@@ -164,9 +168,28 @@ def _evidence(opened: OpenCase, evidence: Evidence, diagnosed: Diagnosed, scheme
             _stored("evidence-spectrum", spectrum, scheme),
             width=420,
         ),
-        action("start", f"Add {evidence.key} alone", step="add", value=evidence.key, variant="light"),
-        note="Move a slider to see what another value would do; the error follows at once.",
+        action(
+            "start",
+            f"Add {evidence.key} alone",
+            step="add",
+            value=evidence.key,
+            variant="light",
+        ),
+        note="Move a slider to see what another value would do; score and error follow at once. The score lets all "
+        "other values follow, the lines hold them.",
     )
+
+
+def _company(evidence: Evidence) -> str:
+    return f"beside {' and '.join(evidence.fitted_with)}" if evidence.fitted_with else "alone"
+
+
+def _odds(evidence: Evidence) -> list[Any]:
+    """How much likelier the named effects are with this one than without it; nothing by the regression."""
+    if not evidence.by_likelihood or evidence.score is None:
+        return []
+    odds, required = html.B(f"{evidence.score:.3g}"), f"; an effect is named from {DEFAULT.likelihood.named:g} on."
+    return [dmc.Text(["Log of the odds that it is there against that it is not: ", odds, required])]
 
 
 def _stored(name: str, picture: Any, scheme: str) -> Any:
@@ -237,7 +260,8 @@ def _move(
     moved = ctx.triggered_id["slider"] if by_slider else 0
     slider, value = shown.evidence.sliders[moved], float(values[moved])
     key, errors_key = _key(shown, log, kind), _key(shown, moved)
-    same = opened.command("explain", trial=_trial(shown.evidence, values))
+    # the command takes one effect: beside others it would not do the same
+    same = "" if shown.evidence.fitted_with else opened.command("explain", trial=_trial(shown.evidence, values))
     errors = redraw.keyed(_errors_figure(slider, value, scheme), errors_key)
     if not by_slider:
         lines = redraw.keyed(_lines_figure(_lines(shown, int(log), kind, moved, value, None), kind, scheme), key)
@@ -333,26 +357,49 @@ def _trial(evidence: Evidence, places: Sequence[float]) -> str:
 def _readout(slider: Slider, place: float) -> Any:
     value, errors = _at(slider, place)
     listed = ", ".join(f"{NAMES[k]} {e:.3g}" for k, e in zip(KINDS, errors, strict=True) if e is not None)
-    return dmc.Text(
-        f"{slider.name} = {value:.4g} {unit_shown(slider.unit)}: error over floor {listed}".replace("  ", " ")
-    )
+    unit = unit_shown(slider.unit) if slider.unit != "1" else ""
+    score = f"log of the odds against the best value {_score(slider, value):.3g}; " if slider.std else ""
+    return dmc.Text(f"{slider.name} = {value:.4g} {unit}: {score}error over floor {listed}".replace(" :", ":"))
+
+
+def _score(slider: Slider, value: float) -> float:
+    """Log of the odds of a value against the best one, with all others that were fitted at their best beside it."""
+    return 0.0 - (((value - slider.values[slider.best]) / slider.std) ** 2) / 2
 
 
 def _errors_figure(slider: Slider, place: float, scheme: str) -> go.Figure:
-    """Error over floor against the parameter's value, the best one and the chosen one marked."""
-    figure = go.Figure()
+    """Score and error over floor against the parameter's value, the best and the chosen one and the interval marked."""
+    scored = slider.std > 0
+    figure = make_subplots(rows=1 + scored, shared_xaxes=True, vertical_spacing=0.05)
     for number, kind in enumerate(KINDS):
         values = [row[number] for row in slider.rms]
         if values[0] is not None:
             colour = KIND_COLOURS[kind]
-            figure.add_trace(
-                go.Scatter(x=slider.values, y=values, name=NAMES[kind], line={"color": colour}, mode="lines")
-            )
-    best = slider.values[slider.best]
-    figure.add_vline(x=best, line={"dash": "dash", "color": improved_colour(scheme)}, annotation_text="best")
+            trace = go.Scatter(x=slider.values, y=values, name=NAMES[kind], line={"color": colour}, mode="lines")
+            figure.add_trace(trace, row=1 + scored, col=1)
+    best, over_rows = slider.values[slider.best], {"xref": "x", "yref": "paper", "y0": 0.0, "y1": 1.0}
     value, _ = _at(slider, place)
-    figure.add_vline(x=value, line={"color": BY_HAND, "width": 2})
+    dashed = {"dash": "dash", "color": improved_colour(scheme)}
+    figure.add_shape(type="line", x0=best, x1=best, line=dashed, **over_rows)
+    figure.add_shape(type="line", x0=value, x1=value, line={"color": BY_HAND, "width": 2}, **over_rows)
+    figure.add_annotation(x=best, y=1, xref="x", yref="paper", text="best", showarrow=False, xanchor="left")
     unit = f", {unit_shown(slider.unit)}" if slider.unit != "1" else ""
-    figure.update_xaxes(title_text=f"{slider.name}{unit}")
-    figure.update_yaxes(title_text="error, × floor", rangemode="tozero")
+    figure.update_xaxes(title_text=f"{slider.name}{unit}", row=1 + scored, col=1)
+    figure.update_yaxes(title_text="error, × floor", rangemode="tozero", row=1 + scored, col=1)
+    if scored:
+        _draw_score(figure, slider, scheme)
     return styled(figure, scheme, height=HEIGHT)
+
+
+def _draw_score(figure: go.Figure, slider: Slider, scheme: str) -> None:
+    """The score's curve in the first row, and the 95 % interval behind all rows."""
+    best, colour = slider.values[slider.best], improved_colour(scheme)
+    reach = slider.std * np.sqrt(-2 * MIN_LOG_ODDS)
+    low, high = max(slider.values[0], best - reach), min(slider.values[-1], best + reach)
+    x = np.linspace(low, high, CURVE)
+    y = [_score(slider, float(value)) for value in x]
+    figure.add_trace(go.Scatter(x=x, y=y, name="score", line={"color": colour}, mode="lines"), row=1, col=1)
+    figure.update_yaxes(title_text="log odds", range=[MIN_LOG_ODDS, 0.5], row=1, col=1)
+    low, high = max(slider.values[0], best - 1.96 * slider.std), min(slider.values[-1], best + 1.96 * slider.std)
+    band = {"xref": "x", "yref": "paper", "y0": 0.0, "y1": 1.0, "layer": "below", "line_width": 0}
+    figure.add_shape(type="rect", x0=low, x1=high, fillcolor=colour, opacity=0.15, **band)

@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from diagnosis.comparison import AxisError
+from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
 from diagnosis.report import ChannelError, Diagnosis
-from diagnosis.selection.search import IMPOSSIBLE, Scored
 from diagnosis.spectrum import Spectrum
 from studio.pages.evidence import Agreement, Likeness, Overlay, by_kind
 from studio.pages.figure import (
@@ -132,27 +132,32 @@ def overlay_lines(view: Overlay, *, improved: bool) -> Picture:
     return picture(figure, 420, "Lines: measurement and models over time.")
 
 
-def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, min_score: float, max_count: int = 14) -> Picture:
-    """How much each effect alone would explain, the best first."""
-    able = [s for s in singles if s.score > IMPOSSIBLE][:max_count]
-    names = [s.candidates[0].key for s in able]
-    keys = {c.effect.name for c in chosen.candidates}
-    colours = [AFTER if s.candidates[0].effect.name in keys else SKY for s in able]
-    scores = [max(s.score, 1.0) for s in able]
+def ranking_bars(details: DiagnosisDetails, max_count: int = 14) -> Picture:
+    """The score of each effect, the best first: beside the named ones by the likelihood, alone by the regression."""
+    able = [(one.candidate, one.score) for one in details.tried if one.score is not None][:max_count]
+    names = [candidate.key for candidate, _ in able]
+    named = {effect.name for effect in details.diagnosis.effects}
+    colours = [AFTER if candidate.effect.name in named else SKY for candidate, _ in able]
+    thresholds, by_likelihood = details.regression.thresholds, details.likelihood is not None
+    scores = [score if by_likelihood else max(score, 1.0) for _, score in able]
+    min_score = thresholds.likelihood.named if by_likelihood else thresholds.search.min_gain
+    title = "log of the odds" if by_likelihood else "score"
     figure = go.Figure(
         go.Bar(
             y=names,
             x=scores,
             orientation="h",
             marker_color=colours,
-            customdata=[s.score for s in able],
+            customdata=[score for _, score in able],
             hovertemplate="%{y}: score %{customdata:.4g}<extra></extra>",
         )
     )
     figure.add_vline(x=min_score, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text="score (dashed: minimum for a claim)", type="log", dtick=1, exponentformat="power")
+    figure.update_xaxes(title_text=f"{title} (dashed: minimum for a claim)")
+    if not by_likelihood:
+        figure.update_xaxes(type="log", dtick=1, exponentformat="power")
     figure.update_yaxes(automargin=True, autorange="reversed")
-    return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect alone.")
+    return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect.")
 
 
 def interval_lines(diagnosis: Diagnosis) -> Picture | None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from diagnosis.comparison import worst_window
 from diagnosis.data.segment import Segment
+from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.models import channels
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.search import Scored
 from dynamics.arrays import Floats
 
 MAX_ROWS = 6000  # of the overlay: four minutes of flight
@@ -131,21 +131,23 @@ class Likeness:
     shared: Floats
 
 
-def likeness(regression: Regression, singles: Sequence[Scored]) -> Likeness:
-    """The largest canonical correlation of each two effects' whitened columns, without the flights' biases.
+def likeness(details: DiagnosisDetails) -> Likeness:
+    """The largest canonical correlation of each two effects' whitened columns; the first effects are shown.
 
-    singles: each effect at its best grid point, best first; the first ones are shown.
+    By the likelihood beside all nuisances, by the regression without the flights' biases.
     """
-    gram: Floats = np.sum(regression.plain_gram, axis=0)
-    taken = [s for s in singles if np.all(np.diag(gram)[s.columns] > 0)][:SHOWN_CANDIDATES]
-    places: list[NDArray[np.intp]] = [np.array(s.columns, dtype=np.intp) for s in taken]
+    gram: Floats = np.sum(details.regression.plain_gram, axis=0)
+    if details.likelihood is not None:
+        gram = details.likelihood.search.total.M
+    taken = [one for one in details.tried if np.all(np.diag(gram)[list(one.columns)] > 0)][:SHOWN_CANDIDATES]
+    places: list[NDArray[np.intp]] = [np.array(one.columns, dtype=np.intp) for one in taken]
     roots = [_inverse_root(gram[np.ix_(p, p)]) for p in places]
     shared = np.eye(len(taken))
     for i, one in enumerate(places):
         for j, other in enumerate(places[:i]):
             across = roots[i] @ gram[np.ix_(one, other)] @ roots[j].T
             shared[i, j] = shared[j, i] = min(1.0, float(np.linalg.norm(across, 2)))
-    return Likeness(tuple(s.candidates[0].key for s in taken), shared)
+    return Likeness(tuple(one.candidate.key for one in taken), shared)
 
 
 def _inverse_root(matrix: Floats) -> Floats:

@@ -144,7 +144,7 @@ def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
 
 def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
     """Content of the sections on a diagnosis."""
-    regression, selection = result.regression, result.selection
+    regression = result.regression
     floor, thresholds = regression.noise.floor, regression.thresholds
     rows = [*regression.rows, *result.before]
     improved = bool(result.diagnosis.effects)
@@ -163,11 +163,11 @@ def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> 
         "lines": pictures.overlay_lines(view, improved=improved),
         "regimes": regions.regime_map(maps),
         "planes": [regions.plane_map(plane) for plane in planes],
-        "ranking": pictures.ranking_bars(selection.singles, selection.chosen, min_score=thresholds.search.min_gain),
+        "ranking": pictures.ranking_bars(result),
         "intervals": pictures.interval_lines(result.diagnosis),
         "spectrum": pictures.spectrum_lines(_spectrum(result.before, regression), after),
         "agreement": None if both is None else pictures.agreement_points(both),
-        "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
+        "likeness": pictures.likeness_map(likeness(result)),
         "in_flight": [in_flight_sentence(one, result.diagnosis.rotors) for one in result.diagnosis.in_flight],
         "followed": [followed_picture(flight, effects_of(flight, result.diagnosis)) for flight in result.followed],
     }

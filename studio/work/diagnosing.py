@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from diagnosis.by_likelihood import likelihood_fit
 from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in
@@ -38,9 +39,9 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
     """Write the diagnosis, its rows with the present and the improved model, and its pictures."""
     details = memory.diagnosis(task, lambda share, stage: progress(0.9 * share, stage))
     dataset, vehicle, catalogue = memory.dataset(task), memory.vehicle(task), memory.catalogue(task)
-    regression, selection, thresholds = details.regression, details.selection, details.regression.thresholds
+    regression, thresholds, answer = details.regression, details.regression.thresholds, details.likelihood
     progress(0.9, "pictures")
-    present = fit(regression, ()).vehicle
+    present = (fit(regression, ()) if answer is None else likelihood_fit(answer.search, regression, ())).vehicle
     before = residuals_in(regression, present, dataset.everything)
     after = residuals_in(regression, details.accepted.fit.vehicle, dataset.everything)
     floor = regression.noise.floor
@@ -51,11 +52,11 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
     intervals = pictures.interval_lines(details.diagnosis)
     shown = {
         "bars": pictures.channel_bars(details.diagnosis.channels),
-        "ranking": pictures.ranking_bars(selection.singles, selection.chosen, min_score=thresholds.search.min_gain),
+        "ranking": pictures.ranking_bars(details),
         "spectrum": pictures.spectrum_lines(spectra[0], spectra[1] if details.diagnosis.effects else None),
         "regimes": regions.regime_map(maps),
         "regimes_after": regions.regime_map(improved),
-        "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
+        "likeness": pictures.likeness_map(likeness(details)),
         **({} if intervals is None else {"intervals": intervals}),
         **{
             f"{FOLLOWED}{place}": followed_picture(flight, effects_of(flight, details.diagnosis))
@@ -69,6 +70,7 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
         notes=details.notes,
         leftovers=tuple(f"{leftover_sentence(left)}. {evidence_sentence(left)}" for left in diagnosis.leftover),
         ranking=_ranking(details, catalogue),
+        by_likelihood=answer is not None,
         addable=tuple(e.name for e in diagnosis.effects if not catalogue[e.name].stochastic),
         rows=rows,
         pictures={name: picture_info(picture) for name, picture in shown.items()},

@@ -1,23 +1,26 @@
-"""Step "explain": what one effect alone explains, and the error for every value of its parameters."""
+"""Step "explain": what one effect explains, and score and error for every value of its parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from diagnosis.by_likelihood import likelihood_fit
 from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.fitted import Fit
+from diagnosis.likelihood.named import Named
 from diagnosis.models.channels import KINDS, squared_by_kind
 from diagnosis.regimes import regime_maps
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.search import IMPOSSIBLE
 from diagnosis.spectrum import residual_spectrum
 from diagnosis.thresholds import DEFAULT
+from diagnosis.tried import Tried
 from dynamics.arrays import Floats
 from dynamics.effect import Parameter
 from dynamics.effect_card import EffectCard
@@ -36,14 +39,15 @@ from studio.work.task import Task
 
 
 def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
-    """Fit one effect alone, and write what it explains: rows (m, 12) with it, and over a grid of each parameter."""
+    """Fit one effect, and write what it explains: rows (m, 12) with it, and over a grid of each parameter."""
     details = memory.diagnosis(task, lambda share, stage: progress(0.5 * share, stage))
     dataset, regression = memory.dataset(task), details.regression
-    candidate, score = _candidate(details, task.effect)
-    progress(0.5, f"fit of {candidate.key} alone")
-    fitted = fit(regression, [candidate])
-    segments = dataset.everything
-    before = residuals_in(regression, fit(regression, ()).vehicle, segments)
+    tried = _tried(details, task.effect)
+    candidate = tried.candidate
+    progress(0.5, f"fit of {candidate.key}")
+    fits = _fits(details, tried)
+    fitted, segments = fits.fitted, dataset.everything
+    before = residuals_in(regression, fits.without, segments)
     after = residuals_in(regression, fitted.vehicle, segments)
     floor = regression.noise.floor
     sliders, grids = [], {}
@@ -54,15 +58,18 @@ def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
         tables = [residuals_in(regression, _moved(fitted, candidate, parameter.name, v), segments) for v in values]
         grids[f"grid_{number}"] = np.array([np.vstack(t) for t in tables], dtype=np.float32)
         rms = [_over_floor(table, floor) for table in tables]
-        sliders.append(Slider(parameter.name, parameter.unit, values.tolist(), best, rms))
+        std = fitted.estimates[candidate.key, parameter.name].std if parameter.name in fits.free else 0.0
+        sliders.append(Slider(parameter.name, parameter.unit, values.tolist(), best, std, rms))
     write_arrays(folder, {"improved": np.vstack(after).astype(np.float32), **grids})
     maps = regime_maps(segments, after, floor, regression.vehicle, DEFAULT.regimes)
     spectra = [residual_spectrum(r, regression.noise, regression.rate, regression.thresholds) for r in (before, after)]
     evidence = Evidence(
         key=candidate.key,
         formula="\n".join(EffectCard(candidate.effect, None, ()).formula),
-        value=_value(fitted),
-        score=None if score == IMPOSSIBLE else score,
+        value=_value(fitted, candidate.key),
+        score=tried.score,
+        fitted_with=fits.fitted_with,
+        by_likelihood=details.likelihood is not None,
         sliders=tuple(sliders),
         share=_shares(before, after, floor),
         pictures={
@@ -73,22 +80,57 @@ def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
     write_json(evidence, folder / FILES[Evidence])
 
 
-def _candidate(details: DiagnosisDetails, key: str) -> tuple[Candidate, float]:
-    """An effect at the grid point that fits best, and its score alone. Raises DataError for one that was not tried."""
-    for single in details.selection.singles:
-        if single.candidates[0].key == key:
-            return single.candidates[0], single.score
+def _tried(details: DiagnosisDetails, key: str) -> Tried:
+    """An effect at the point that fits best. Raises DataError for one that was not tried."""
+    for one in details.tried:
+        if one.candidate.key == key:
+            return one
     raise DataError(f"these flights cannot show {key}, so it was not tried. The check lists what they can show.")
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """The fit with an effect, and the vehicle of that without it.
+
+    free: names of the effect's parameters that were fitted. fitted_with: keys of the others that both have.
+    """
+
+    fitted: Fit
+    without: Vehicle
+    free: tuple[str, ...]
+    fitted_with: tuple[str, ...]
+
+
+def _fits(details: DiagnosisDetails, tried: Tried) -> _Fits:
+    """By the likelihood beside the other effects that it names, with the answer's values and intervals; by the
+    regression alone. Raises DataError where the values that fit best are physically impossible."""
+    regression, answer, candidate = details.regression, details.likelihood, tried.candidate
+    if answer is None or tried.number is None:
+        fitted, without, others = fit(regression, [candidate]), fit(regression, ()).vehicle, []
+    else:
+        if tried.score is None:
+            raise DataError(
+                f"the values of {candidate.key} that fit these flights best are physically impossible, so there is "
+                "nothing to show of it. Look at the effects above it, or at another flight."
+            )
+        others = [one for one in answer.named if one.number != tried.number]
+        own = Named(tried.number, candidate, tried.score, ())
+        fitted = likelihood_fit(answer.search, regression, [*others, own])
+        without = likelihood_fit(answer.search, regression, others).vehicle
+    free = tuple(name for key, name in fitted.estimates if key == candidate.key)
+    return _Fits(fitted, without, free, tuple(one.candidate.key for one in others))
 
 
 def _grid(parameter: Parameter, fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[Floats, int]:
     """Values (g,) of a parameter from where the effect is absent to twice its best value, and the place of the best.
 
-    About the usual value where the best one is no different from neutral. Within the parameter's bounds.
+    They hold the 95 % interval, and are about the usual value where the best one is no different from neutral. Within
+    the parameter's bounds.
     """
     best = _use(fitted, candidate).parameters[parameter.name]
-    prior = parameter.prior(vehicle)
-    reach = abs(best - parameter.neutral) or 2 * prior.std
+    estimate = fitted.estimates.get((candidate.key, parameter.name))
+    std = 0.0 if estimate is None else estimate.std
+    reach = max(abs(best - parameter.neutral), 3 * std) or 2 * parameter.prior(vehicle).std
     values = best + reach * np.linspace(-1.0, 1.0, GRID)
     inside = np.clip(values, parameter.lower, parameter.upper)
     return inside, GRID // 2
@@ -121,8 +163,9 @@ def _shares(before: Sequence[Floats], after: Sequence[Floats], floor: Floats) ->
     return {kind: float(np.clip(share, -1.0, 1.0)) for kind, share in zip(KINDS, gone, strict=True)}
 
 
-def _value(fitted: Fit) -> str:
+def _value(fitted: Fit, key: str) -> str:
     return ", ".join(
         f"{name} {estimate.value:.4g} ± {1.96 * estimate.std:.2g} {unit_shown(estimate.unit)}".rstrip()
-        for (_, name), estimate in fitted.estimates.items()
+        for (owner, name), estimate in fitted.estimates.items()
+        if owner == key
     )

@@ -132,7 +132,7 @@ class RankedEffect(msgspec.Struct, frozen=True):
 
     key: its name in a model, the rotor in brackets.
     summary: what it is, one sentence.
-    score: of the candidate alone; null where it is impossible.
+    score: as `diagnosis.report.Considered` has it; null where it is impossible.
     outcome: named, refused, not_selected or impossible.
     reason: why it is not named, empty where it is.
     value: fitted values in words, empty where it was not fitted.
@@ -149,13 +149,14 @@ class RankedEffect(msgspec.Struct, frozen=True):
 
 
 class Diagnosed(msgspec.Struct, frozen=True):
-    """A diagnosis in words, its ranking, rows and pictures."""
+    """A diagnosis in words, its ranking, rows and pictures. by_likelihood: whether the ranking is by the likelihood."""
 
     diagnosis: Diagnosis
     sentence: str
     notes: tuple[str, ...]
     leftovers: tuple[str, ...]
     ranking: tuple[RankedEffect, ...]
+    by_likelihood: bool
     addable: tuple[str, ...]
     rows: Rows
     pictures: dict[str, PictureInfo]
@@ -170,6 +171,7 @@ class Slider(msgspec.Struct, frozen=True):
     name, unit: of the parameter.
     values: (g,) of the grid, its best one among them.
     best: place of the value that fits best.
+    std: its standard deviation, the others of the set free; 0 where it was held.
     rms: (g, 4) error of each kind of channel over its floor, null where a kind is absent.
     """
 
@@ -177,14 +179,16 @@ class Slider(msgspec.Struct, frozen=True):
     unit: str
     values: list[float]
     best: int
+    std: float
     rms: list[list[float | None]]
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """Explained error of one effect alone.
+    """Explained error of one effect.
 
     key: the effect; value: fitted values in words.
     score: as in the ranking.
+    fitted_with: keys of the effects that it was fitted with. by_likelihood: whether by the likelihood.
     sliders: of its parameters.
     share: by kind of channel, the part of the squared error above the floor that it explains.
     """
@@ -193,6 +197,8 @@ class Evidence(msgspec.Struct, frozen=True):
     formula: str
     value: str
     score: float | None
+    fitted_with: tuple[str, ...]
+    by_likelihood: bool
     sliders: tuple[Slider, ...]
     share: dict[str, float]
     pictures: dict[str, PictureInfo]

@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 from diagnosis import diagnose
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood, likelihood_problems
+from diagnosis.by_likelihood import (
+    LikelihoodAnswer,
+    answer_by_likelihood,
+    likelihood_fit,
+    likelihood_problems,
+)
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.evidence import Sums
+from diagnosis.likelihood.named import Named
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
+from diagnosis.tried import tried_by_likelihood
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
 from fixtures.real_flights import DATA, px4_sih
@@ -81,6 +88,28 @@ def test_the_report_has_the_likelihoods_values_and_deviations():
     assert fitted["linear_drag"]["coefficient"] == estimate.value
     own = next(use.parameters["coefficient"] for use in vehicle.effects if use.name == "linear_drag")
     assert abs(estimate.value - own) > 5 * estimate.std
+
+
+def test_the_ranking_has_the_odds_of_each_effect_beside_the_named_ones():
+    _, _, answer = twice_the_drag()
+    (named,) = answer.named
+    first, *others = tried_by_likelihood(answer.search, [named.number])
+    assert (first.number, first.score) == (named.number, pytest.approx(named.log_odds))
+    required = answer.search.problem.thresholds.named
+    assert all(one.score is None or one.score < required for one in others)
+    assert len({one.candidate.effect.name for one in (first, *others)}) == 1 + len(others)
+
+
+def test_an_effect_that_is_not_named_is_fitted_beside_those_that_are():
+    _, _, answer = twice_the_drag()
+    (named,) = answer.named
+    mass = next(one for one in tried_by_likelihood(answer.search, [named.number]) if one.candidate.key == "mass")
+    own = Named(mass.number, mass.candidate, mass.score, ())
+    both, alone = (likelihood_fit(answer.search, answer.regression, some) for some in ([named, own], [named]))
+    assert {key for key, _ in both.estimates} == {"linear_drag", "mass"}
+    drag, mass_ratio = both.estimates["linear_drag", "coefficient"], both.estimates["mass", "ratio"]
+    assert abs(mass_ratio.value - 1.0) < 3 * mass_ratio.std
+    assert drag.std >= alone.estimates["linear_drag", "coefficient"].std
 
 
 def test_without_the_effect_held_out_errors_rise():

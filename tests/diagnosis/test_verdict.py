@@ -20,6 +20,7 @@ from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, Residu
 from diagnosis.selection.search import Scored, Search
 from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT
+from diagnosis.tried import tried_alone
 from diagnosis.verdict import (
     above_floor,
     channel_errors,
@@ -230,8 +231,7 @@ def test_channel_errors_are_norms_over_the_three_axes(arpl_250g):
 
 def test_what_was_tried_says_what_became_of_it(arpl_250g):
     r = planted(arpl_250g, [4.0, 1.0, 0.0], seed=3)
-    selection = Selection(Scored((), 0.0, 0.0), Search(r).singles(), NO_GUST, NO_GUST, False)
-    tried = considered(selection, [ALONE], [Refused("b", None, "too_small")])
+    tried = considered(tried_alone(Search(r).singles()), [ALONE], [Refused("b", None, "too_small")])
     assert [(one.name, one.outcome) for one in tried] == [("a", "named"), ("b", "refused"), ("c", "not_selected")]
     assert tried[0].score > tried[1].score > tried[2].score
 

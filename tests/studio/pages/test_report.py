@@ -109,9 +109,9 @@ def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(
 
 
 def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: DiagnosisDetails) -> None:
-    pair = [s for s in findings.selection.singles if s.names & {"thrust_constant", "mass"}]
-    assert likeness(findings.regression, pair).shared[0, 1] > 0.9
-    likenesses = likeness(findings.regression, findings.selection.singles)
+    pair = tuple(one for one in findings.tried if one.candidate.key in ("mass", "thrust_constant"))
+    assert likeness(dataclasses.replace(findings, tried=pair)).shared[0, 1] > 0.9
+    likenesses = likeness(findings)
     assert np.diag(likenesses.shared) == pytest.approx(1.0)
     np.testing.assert_allclose(likenesses.shared, likenesses.shared.T)
     assert ((likenesses.shared >= 0) & (likenesses.shared <= 1)).all()
