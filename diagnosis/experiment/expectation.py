@@ -1,33 +1,37 @@
-"""Which intervals of the effects' parameters a manoeuvre lets expect, from the regressors that a fit would have.
+"""Which intervals of the effects' parameters a manoeuvre lets expect, by the score that a diagnosis of its log has.
 
-The Fisher information of the instruments of the joint fit (`estimation.linear_rows`) along the planned motion, with
-usual noise on the twelve channels and the parameters' priors: what the estimator would make of such a flight.
+The expected information of the likelihood's columns (`likelihood.columns`) along the planned motion, through the filter
+of an autopilot's log with the noise's medians before any flight. Nuisances are marginalised, priors are the evidence's,
+and the likelihood is coarsened as there (`likelihood.evidence`): such intervals a diagnosis of the log states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.linear_rows import LinearRows
+from diagnosis.likelihood.columns import Candidates, Column, candidates
+from diagnosis.likelihood.evidence import prior_stds, sums
+from diagnosis.likelihood.flight_rows import make_rows
+from diagnosis.likelihood.gain import NoiseSlopes, make_gain
+from diagnosis.likelihood.innovations import start
+from diagnosis.likelihood.noise_fit import compose, structures_of
+from diagnosis.likelihood.problem import Information, Problem
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.visibility import can_show
-from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
-from dynamics.effect import Effect, Span
+from dynamics.effect import Effect
 from dynamics.errors import RequestError
 from dynamics.references.flatness import ReferenceSamples
 from dynamics.vehicle import Vehicle
 
-RATE = 25.0  # Hz of the planned rows
-EDGE = 0.5  # s before and after a lap, which the filters use up
+RATE = DEFAULT.likelihood.row_rate  # Hz of the planned rows
+EDGE = DEFAULT.likelihood.burn_in  # s before a lap, in which the filter settles
 TRIALS, TRIAL_PARAMETERS = (200, 400), 12_000  # least and most evaluations; these times parameters: some 10 s
-# Standard deviation of a row of each channel at the regression's rate, of the size that flights of small quadrotors
-# leave: accelerometer and pose acceleration, m/s^2; angular acceleration, rad/s^2; attitude rate, rad/s.
-NOISE = np.repeat([0.3, 0.3, 2.0, 0.03], 3)
+NO_SLOPES = NoiseSlopes(*(np.zeros((1, 0)) for _ in range(3)), np.zeros((0, 1, 1)), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -50,16 +54,6 @@ class ExpectedInterval:
         return self.name.partition(".")[0].partition("[")[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """Data of a fit along a plan: see `estimation.linear_rows.Fitted`."""
-
-    vehicle: Vehicle
-    catalogue: Mapping[str, Effect]
-    segments: Sequence[Segment]
-    thresholds: Thresholds
-
-
 class Expectation:
     """Expected intervals of the parameters of some effects on a vehicle."""
 
@@ -70,28 +64,32 @@ class Expectation:
 
         Raises RequestError where none of them shows in any flight.
         """
-        self._vehicle = vehicle
+        self._vehicle, self._catalogue = vehicle, catalogue
         segment = planned_segment(example, vehicle)
-        shown = [e for e in catalogue.values() if not e.stochastic and can_show(e, [segment], vehicle, catalogue)]
-        to_show = [e for e in shown if (e.name in effects if effects else _is_planned_for(e))]
+        possible = candidates(vehicle, catalogue, [segment])
+        shown = {c.effect.name: c.effect for c in possible.all}
+        to_show = [e for e in shown.values() if (e.name in effects if effects else _is_planned_for(e))]
         if not to_show:
             raise RequestError(
                 f"no manoeuvre shows {', '.join(effects)} better than another one: leave it out of for=. Effects that "
-                f"one can be planned for: {', '.join(e.name for e in shown)}."
+                f"one can be planned for: {', '.join(shown)}."
             )
         names = [e.name for e in to_show]
-        faults = [e for e in shown if e not in to_show and e.sensor_prior is not None]
-        candidates = [c for e in (*to_show, *faults) for c in _candidates(e, vehicle)]
-        plan = _Plan(vehicle, catalogue, [segment], DEFAULT)
-        self._rows = [LinearRows(plan, group, vehicle) for group in _groups(candidates)]
-        self._free = [free for rows in self._rows for free in rows.free]
-        self._prior = np.array([_prior_deviation(c, name, vehicle) for c, name in self._free])
-        owners = [c.effect.name for c, _ in self._free]
+        self._what = _usual(possible, names, vehicle)
+        self._fitted = {
+            number: {c.effect.time_constants[0]: c.effect.defaults(vehicle)[c.effect.time_constants[0]]}
+            for number, c in enumerate(self._what.all)
+            if not c.free
+        }
+        problem = self._problem(segment, self._what)
+        composition = compose(structures_of(segment)[0], problem.flights[0].readings)
+        self._gain = make_gain(composition, composition.medians(vehicle), problem.plant())
+        self._prior = prior_stds(self._what, vehicle, list(self._fitted))
+        owners = [self._what.all[column.candidate].effect.name for column in self._what.columns]
         self._weight = _weights(owners, names)
-        healthy = {e.name for e in shown if e.sensor_prior is not None}
         # those that are named are fitted jointly; of a whole catalogue each with what it is confounded with
         fits = [(set(names), set(names))] if effects else [({e.name}, {e.name, *e.confounded_with}) for e in to_show]
-        self._fits = [(_places(owners, own), _places(owners, joint | healthy)) for own, joint in fits]
+        self._fits = [(_places(owners, own), _places(owners, joint)) for own, joint in fits]
 
     @property
     def trials(self) -> int:
@@ -104,29 +102,52 @@ class Expectation:
 
     def intervals(self, motion: ReferenceSamples, laps: float) -> tuple[ExpectedInterval, ...]:
         """Expected intervals of the effects that are to be shown."""
-        rows = zip(self._free, self._prior, self._deviations(motion, laps), self._weight, strict=True)
         return tuple(
-            ExpectedInterval(f"{c.key}.{name}", _unit(c.effect, name), c.at[name], float(prior), float(std))
-            for (c, name), prior, std, weight in rows
-            if weight > 0
+            self._interval(column, float(prior), float(std))
+            for column, prior, std in zip(self._what.columns, self._prior, self._deviations(motion, laps), strict=True)
         )
 
+    def _interval(self, column: Column, prior: float, std: float) -> ExpectedInterval:
+        candidate = self._what.all[column.candidate]
+        name = column.name or candidate.effect.time_constants[0]
+        unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
+        usual = {**candidate.effect.defaults(self._vehicle), **(candidate.present or {})}[name]
+        return ExpectedInterval(f"{candidate.key}.{name}", unit, usual, prior, std)
+
     def _deviations(self, motion: ReferenceSamples, laps: float) -> Floats:
-        """(k,) expected standard deviations of the free parameters after some laps."""
-        segment = planned_segment(motion, self._vehicle)
-        instruments = np.concatenate([rows.at(segment, _values(rows))[2] for rows in self._rows], axis=2)
-        white = (instruments / NOISE[:, None] * self._prior).reshape(-1, len(self._prior))
-        white = np.where(np.isfinite(white).all(axis=0), white, 0.0)  # what cannot be followed is not shown
-        information = laps * (white.T @ white) + np.eye(len(self._prior))
-        variance = np.ones(len(self._prior))
+        """(k,) expected standard deviations of the parameters after some laps."""
+        # n laps are the sum of n equal blocks: as many times the information of one, with its nuisances' precision
+        nuisances = tuple(
+            replace(n, std=n.std / np.sqrt(laps)) if n.lasts == "block" else n for n in self._what.nuisances
+        )
+        problem = self._problem(planned_segment(motion, self._vehicle), replace(self._what, nuisances=nuisances))
+        information = self._information(problem)
+        seconds = laps * information.rows / RATE
+        share = laps / (1 + seconds / problem.thresholds.trusted)
+        M = sums(problem, [information], NO_SLOPES, settled=False, share=share).M
+        variance = self._prior**2
         for own, joint in self._fits:
-            inverse = np.linalg.inv(information[np.ix_(joint, joint)])
+            inverse = np.linalg.inv(M[np.ix_(joint, joint)] + np.diag(self._prior[joint] ** -2.0))
             variance[own] = [inverse[i, i] for i in map(joint.index, own)]
-        return np.asarray(self._prior * np.sqrt(variance))
+        return np.asarray(np.sqrt(variance))
+
+    def _problem(self, segment: Segment, what: Candidates) -> Problem:
+        return Problem(self._vehicle, self._catalogue, [make_rows(segment, 0)], what, dict(self._fitted))
+
+    def _information(self, problem: Problem) -> Information:
+        """Expected sums of a lap: of the columns alone, since a model that is right leaves white innovations."""
+        along, (rows,), t = problem.along(0), problem.flights, problem.thresholds
+        B, D = problem.columns(0, along)
+        white, _ = start(self._gain, B.shape[2]).advance(along.model, B, np.ascontiguousarray(-D))
+        white = np.where(np.isfinite(white).all(axis=(0, 1)), white, 0.0)  # what cannot be followed is not shown
+        first, length = round(EDGE / rows.period), round(t.block / rows.period)
+        parts = [white[i : i + length].reshape(-1, white.shape[2]) for i in range(first, len(white), length)]
+        M = np.array([part.T @ part for part in parts])
+        return Information(0, M, np.zeros(M.shape[:2]), np.zeros(len(M)), white.shape[1], len(white) - first)
 
 
 def planned_segment(motion: ReferenceSamples, vehicle: Vehicle) -> Segment:
-    """A planned motion as a segment of a flight with perfect sensors and rotors that follow their commands."""
+    """A planned motion as a segment of an autopilot's log, with rotors that follow their commands."""
     force = np.zeros((len(motion.time), 3))
     force[:, 2] = motion.collective_thrust / vehicle.body.mass
     return Segment(
@@ -141,47 +162,39 @@ def planned_segment(motion: ReferenceSamples, vehicle: Vehicle) -> Segment:
         rotor_speed=motion.rotor_speed,
         rotor_source="speed_command",
         battery_ratio=None,
+        pose_source="estimator",
     )
 
 
 def lap_times(lap: float) -> Floats:
-    """(n,) s of the rows of a lap, with the edges before and after it."""
-    count = round((lap + 2 * EDGE) * RATE)
+    """(n,) s of the rows of a lap, with the edge before it."""
+    count = round((lap + EDGE) * RATE)
     return np.asarray(np.arange(count) / RATE - EDGE)
 
 
 def _is_planned_for(effect: Effect) -> bool:
-    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, not for what depends on
-    things that no log holds, not for what swings by itself, whose resonance would be sought."""
+    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, nor for what depends on
+    things that no log holds."""
     unlogged = effect.excitation is not None and effect.excitation.unlogged
-    return effect.moves_vehicle and not unlogged and not _swings(effect)
+    return effect.moves_vehicle and not unlogged
 
 
-def _swings(effect: Effect) -> bool:
-    return bool(effect.hidden) and effect.rotor_speed is None
+def _usual(possible: Candidates, names: Sequence[str], vehicle: Vehicle) -> Candidates:
+    """Some effects' candidates, each at the grid point that is nearest its usual values."""
 
+    def distance(candidate: Candidate) -> float:
+        usual = candidate.effect.defaults(vehicle)
+        held = [name for name in candidate.at if name not in candidate.free]
+        return sum(abs(candidate.at[name] - usual[name]) / (abs(usual[name]) + 1e-9) for name in held)
 
-def _candidates(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
-    """An effect at the vehicle's own values, or at usual ones; on each rotor where it acts on one."""
-    grid = [] if effect.grid is None else list(effect.grid(vehicle, Span((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))))
-    free = tuple(p.name for p in effect.parameters if not grid or p.name not in grid[0])
-    candidates = []
-    for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
-        own = next((u for u in vehicle.effects if (u.name, u.rotor) == (effect.name, rotor)), None)
-        present = None if own is None else {**effect.defaults(vehicle), **own.parameters}
-        candidates.append(Candidate(effect, rotor, present or effect.defaults(vehicle), free, (), present))
-    return candidates
-
-
-def _values(rows: LinearRows) -> dict[str, float]:
-    """Where a group is linearised, by the model's names."""
-    return {f"{c.key}.{name}": c.at[name] for c, name in rows.free}
-
-
-def _groups(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
-    """Candidates that share a model: all but those that swing by themselves, whose motion the others would drive."""
-    swinging = [c for c in candidates if _swings(c.effect)]
-    return [[c for c in candidates if c not in swinging], *([c] for c in swinging)]
+    best = dict[str, Candidate]()
+    for candidate in possible.all:
+        if candidate.effect.name in names and (
+            candidate.key not in best or distance(candidate) < distance(best[candidate.key])
+        ):
+            best[candidate.key] = candidate
+    columns = tuple(Column(i, name) for i, c in enumerate(best.values()) for name in (c.free or ("",)))
+    return Candidates(tuple(best.values()), columns, possible.nuisances)
 
 
 def _weights(effects: Sequence[str], shown: Sequence[str]) -> Floats:
@@ -194,13 +207,3 @@ def _weights(effects: Sequence[str], shown: Sequence[str]) -> Floats:
 def _places(owners: Sequence[str], names: set[str]) -> list[int]:
     """Places of the parameters of some effects. owners: (k,) effect of each."""
     return [place for place, owner in enumerate(owners) if owner in names]
-
-
-def _prior_deviation(candidate: Candidate, name: str, vehicle: Vehicle) -> float:
-    """Standard deviation of a parameter before the flight: a healthy sensor's, else the effect's usual one."""
-    parameter = next(p for p in candidate.effect.parameters if p.name == name)
-    return candidate.effect.sensor_prior or parameter.prior(vehicle).std
-
-
-def _unit(effect: Effect, name: str) -> str:
-    return next(p.unit for p in effect.parameters if p.name == name)
