@@ -14,7 +14,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.likelihood.columns import Candidates, Column, candidates
-from diagnosis.likelihood.evidence import prior_stds, sums
+from diagnosis.likelihood.evidence import Kind, prior_stds, sums
 from diagnosis.likelihood.flight_rows import make_rows
 from diagnosis.likelihood.gain import NoiseSlopes, make_gain
 from diagnosis.likelihood.innovations import start
@@ -31,7 +31,9 @@ from dynamics.vehicle import Vehicle
 RATE = DEFAULT.likelihood.row_rate  # Hz of the planned rows
 EDGE = DEFAULT.likelihood.burn_in  # s before a lap, in which the filter settles
 TRIALS, TRIAL_PARAMETERS = (200, 400), 12_000  # least and most evaluations; these times parameters: some 10 s
-NO_SLOPES = NoiseSlopes(*(np.zeros((1, 0)) for _ in range(3)), np.zeros((0, 1, 1)), np.zeros(0), np.zeros(0))
+NO_SLOPES = NoiseSlopes(
+    np.zeros((1, 0)), np.zeros((1, 0)), np.zeros((1, 0)), np.zeros((0, 1, 1)), np.zeros(0), np.zeros(0)
+)
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class Expectation:
         information = self._information(problem)
         seconds = laps * information.rows / RATE
         share = laps / (1 + seconds / problem.thresholds.trusted)
-        M = sums(problem, [information], NO_SLOPES, settled=False, share=share).M
+        M = sums([Kind(problem, [information], NO_SLOPES)], settled=False, share=share).M
         variance = self._prior**2
         for own, joint in self._fits:
             inverse = np.linalg.inv(M[np.ix_(joint, joint)] + np.diag(self._prior[joint] ** -2.0))
