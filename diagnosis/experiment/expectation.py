@@ -175,10 +175,10 @@ def lap_times(lap: float) -> Floats:
 
 
 def _is_planned_for(effect: Effect) -> bool:
-    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, nor for what depends on
+    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, not for what depends on
     things that no log holds."""
     unlogged = effect.excitation is not None and effect.excitation.unlogged
-    return effect.moves_vehicle and not unlogged
+    return effect.moves_vehicle and not unlogged and not (effect.hidden and effect.rotor_speed is None)
 
 
 def _usual(possible: Candidates, names: Sequence[str], vehicle: Vehicle) -> Candidates:

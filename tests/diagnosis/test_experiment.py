@@ -8,14 +8,23 @@ import msgspec
 import numpy as np
 import pytest
 
+from diagnosis.data.dataset import make_dataset
 from diagnosis.experiment import PlannedFlight, parse_request, plan_flight
 from diagnosis.experiment.expectation import TRIALS, Expectation, lap_times
+from diagnosis.likelihood.columns import candidates
+from diagnosis.likelihood.flight_rows import make_rows
+from diagnosis.likelihood.given_set import fit_set, nearest_members
+from diagnosis.likelihood.problem import Problem
+from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.references import check_feasibility, named_reference
-from dynamics.vehicle import Limits, Vehicle
+from dynamics.vehicle import EffectUse, Limits, Vehicle
 from dynamics.vehicle_file import find_vehicle, read_vehicle
+from flights import Flight
 from runtime.flight_setup import hovering_vehicle
+from simulation.lockstep import fly_reference
+from sitl_mock.vehicle.vehicle import VehicleOptions
 
 DATA = Path(__file__).parents[1] / "data"
 REQUEST = "identify:duration=20,box=4x4x3,for=rotor_drag+inertia"
@@ -53,12 +62,41 @@ def test_it_shows_more_than_a_circle_of_the_same_length(arpl_250g: Vehicle) -> N
     assert [one.name for one in others] == [one.name for one in flight.expected]
 
 
-def test_twice_the_laps_halve_the_variance_of_what_a_flight_shows_well(arpl_250g: Vehicle) -> None:
+def test_more_laps_tell_no_more_than_the_seconds_that_the_evidence_trusts(arpl_250g: Vehicle) -> None:
     circle = named_reference("circle", arpl_250g)
-    motion = circle.sample(5.0 + lap_times(2 * np.pi / circle.law.rate))
+    lap = 2 * np.pi / circle.law.rate
+    motion = circle.sample(5.0 + lap_times(lap))
     expectation = Expectation(arpl_250g, CATALOGUE, ["rotor_drag"], motion)
-    once, twice = (expectation.intervals(motion, laps)[0].std for laps in (2.0, 4.0))
-    assert twice == pytest.approx(once / np.sqrt(2), rel=0.01)
+    trusted = DEFAULT.likelihood.trusted
+    few, some, many = (expectation.intervals(motion, laps)[0].std for laps in (2.0, 4.0, 400.0))
+
+    def counted(laps: float) -> float:
+        return laps * lap / (1 + laps * lap / trusted)
+
+    assert some == pytest.approx(few * np.sqrt(counted(2.0) / counted(4.0)), rel=0.01)
+    assert many > 0.7 * few
+
+
+@pytest.mark.long("a flight of 20 s and its fit")
+def test_a_flight_gives_the_intervals_that_its_plan_promised(arpl_250g: Vehicle) -> None:
+    plan = planned(arpl_250g)
+    hidden = [
+        EffectUse("rotor_drag", {"coefficient": 1.5e-5}),
+        EffectUse("inertia", {"ratio_x": 1.1, "ratio_y": 1.1, "ratio_z": 1.1}),
+    ]
+    start = plan.reference.states(np.zeros(1))[0]
+    options = VehicleOptions(position=(float(start[0]), float(start[1])), yaw=float(2 * np.arctan2(start[9], start[6])))
+    log = fly_reference(arpl_250g, plan.reference, effects=hidden, options=options, seed=7, name="plan").log
+    dataset = make_dataset([Flight.from_log(log, rate=100.0)], arpl_250g)
+    catalogue = {use.name: CATALOGUE[use.name] for use in hidden}
+    rows = [make_rows(segment, group) for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True)]
+    problem = Problem(arpl_250g, catalogue, rows, candidates(arpl_250g, catalogue, dataset.fitted))
+    fit = fit_set([problem], nearest_members(problem, hidden))
+    promised = {one.name: one.std for one in plan.expected}
+    for ((key, name), value), std in zip(fit.values.items(), fit.deviations, strict=True):
+        truth = next(use.parameters[name] for use in hidden if use.name == key)
+        assert abs(value - truth) < 3 * std
+        assert 0.5 < promised[f"{key}.{name}"] / std < 10  # the noise of sensors and air is no plan's to know
 
 
 def test_same_seed_same_flight(arpl_250g: Vehicle) -> None:
