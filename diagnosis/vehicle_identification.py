@@ -2,9 +2,9 @@
 
 Everything is relative to the mass, which flights cannot show: the rotors carry the weight in hover, and forces and
 moments scale with it. Torque constant and yaw inertia show as their ratio, and apart only where the vehicle turns about
-several axes at once: there (J_z - J_y) omega_y omega_z is a moment about x. The estimates are those of the joint fit
-behind `alula diagnose`, with the drags that fast flight has beside them, from a vehicle that is corrected until the fit
-changes it no more.
+several axes at once: there (J_z - J_y) omega_y omega_z is a moment about x. A regression corrects the vehicle until it
+changes it no more, with the drags that fast flight has beside the constants; values and intervals are those of the
+likelihood about that, as `alula diagnose` has them.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ import numpy as np
 import scipy
 from scipy.special import ndtri
 
+from diagnosis.by_likelihood import likelihood_fit, likelihood_problems
 from diagnosis.data.command_curve import lagged
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
+from diagnosis.likelihood.given_set import fit_set, nearest_members
+from diagnosis.likelihood.named import Named
 from diagnosis.models.command_effects import BEND
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
@@ -151,7 +154,27 @@ def identify_vehicle(
         vehicle, moved = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
         if not moved:
             break
+    progress(1.0 - 1.0 / LIMITS.max_rounds, "values and intervals by the likelihood")
+    fitted = _likeliest(regression, dataset, fitted, drag)
+    vehicle, _ = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
     return _identification(start, vehicle, fitted, dataset, drag, signal)
+
+
+def _likeliest(regression: Regression, dataset: Dataset, fitted: Fit, drag: Effect) -> Fit:
+    """A fit's constants by the likelihood, begun at a fit's values; that fit where no filter has such readings."""
+    segments = replace(dataset, fitted=dataset.everything, flight_of=_flights(dataset), held_out=())
+    torque = any(c.effect is TORQUE_CONSTANT for c in fitted.candidates)
+    effects = [*CONSTANTS, drag, DAMPING, *([TORQUE_CONSTANT] if torque else [])]
+    try:
+        problems = likelihood_problems(segments, regression)
+        uses = [use for use in fitted.vehicle.effects if any(use.name == effect.name for effect in effects)]
+        shown = {candidate.identity for candidate in problems[0].what.all}
+        members = nearest_members(problems[0], [use for use in uses if (use.name, use.rotor) in shown])
+        search = fit_set(problems, members).search
+    except (DataError, np.linalg.LinAlgError):
+        return fitted
+    own = [Named(number, problems[0].what.all[number], math.inf, ()) for number in members]
+    return replace(likelihood_fit(search, regression, own), chi_square=fitted.chi_square)
 
 
 def calibrated(vehicle: Vehicle, flights: Sequence[Flight]) -> Vehicle:
@@ -188,10 +211,14 @@ def _regression(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effe
         use.name for use in vehicle.effects
     }
     effects = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
+    return make_regression(vehicle, effects, dataset.everything, _flights(dataset))
+
+
+def _flights(dataset: Dataset) -> tuple[int, ...]:
+    """The flight of each segment, those held out among them."""
     last = max(dataset.flight_of, default=-1) + 1
     logs = list(dict.fromkeys(s.flight for s in dataset.held_out))
-    flight_of = (*dataset.flight_of, *(last + logs.index(s.flight) for s in dataset.held_out))
-    return make_regression(vehicle, effects, dataset.everything, flight_of)
+    return (*dataset.flight_of, *(last + logs.index(s.flight) for s in dataset.held_out))
 
 
 def _drags(regression: Regression) -> list[Effect]:
