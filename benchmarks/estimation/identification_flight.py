@@ -7,7 +7,7 @@ effects are fitted jointly as a given set by the likelihood, from motor commands
 motors' lag among the unknown) and from measured rotor speeds; intervals are those that a diagnosis states. Ratio: the
 standard deviation over that of the Lemniscate's. Promised: the plan's, over that of the flight.
 
-    python -m benchmarks estimation identification_flight --first-seed 5000 --flights 2
+    python -m benchmarks estimation identification_flight --first-seed 5000 --flights 1
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ REMARKS = """\
 The Lemniscate is at the vehicle's limits in x and pitch. A circle at the same limits in the same room has about 1.4
 times its root mean square speed, so that the interval of a drag that is fitted alone can fall by about 1.4 there, and
 that of the inertia about y hardly at all; what falls further was confounded or not excited. A motors' lag from
-commands has the interval of the commands' clock, on which no manoeuvre acts. From commands, intervals beside an
-unknown lag hold less often than 95 % of the time, the Lemniscate's by the largest errors; those of moments from
-measured speeds miss by tenths of a per cent to 2 % with either manoeuvre. Why is not examined here."""
+commands has the interval of the commands' clock, on which no manoeuvre acts. From commands, the mock's delay of the
+actuation is in the lag (22 to 24 % of it), and inertias about x and y come out 2 to 6 % low beside it, outside of their
+intervals. What is not planned shows as well: the controller's answer to turbulence turns the vehicle."""
 Row = Mapping[str, Any]
 
 
@@ -258,7 +258,7 @@ def flights_table(rows: Sequence[Row]) -> str:
 
 def identification_flight(words: Sequence[str]) -> Page:
     """Fly and fit. Returns the page."""
-    parser = options_of(__doc__, resumes="identification_flight", jobs=1, flights=2, first_seed=5000)
+    parser = options_of(__doc__, resumes="identification_flight", jobs=1, flights=1, first_seed=5000)
     parser.add_argument("--hidden", nargs="*", default=list(SETS))
     chosen = parser.parse_args(words)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.flights)
