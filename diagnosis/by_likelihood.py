@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,7 +103,8 @@ def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Proble
         ends = [round(i * len(segment) / count) for i in range(count + 1)]
         made = [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
         kind = (made[0].readings, round(1 / made[0].period), segment.rotor_source, segment.pose_source)
-        rows.setdefault(kind, []).extend(made)
+        followed = [replace(piece, before=last) for last, piece in itertools.pairwise(made)]
+        rows.setdefault(kind, []).extend([made[0], *followed])
     return [
         Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)
         for own in rows.values()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dynamics import symbolic as ca
 from dynamics.effect import Expression
 from dynamics.model import Model
-from dynamics.state import ATTITUDE
+from dynamics.state import ATTITUDE, HIDDEN, RIGID_BODY_STATES
 
 Field = Callable[[Expression], Expression]
 DrivenField = Callable[[Expression, float], Expression]
@@ -89,6 +89,26 @@ def relaxes_alone(derivative: Expression, hidden: Expression, entries: slice) ->
     rows, columns = slopes.sparsity().get_triplet()
     diagonal = all(row + entries.start == column for row, column in zip(rows, columns, strict=True))
     return diagonal and not ca.depends_on(slopes, hidden)
+
+
+def lag_places(model: Model) -> tuple[list[int], list[int]]:
+    """Places of the time constants among the parameters: of all effects, and of those that bound the integration step.
+
+    Hidden states that relax by themselves are integrated exactly, so that their time constants bound nothing.
+    """
+    hidden = ca.SX.sym("hidden", model.hidden_count)
+    sizes = [model.input_count, len(model.parameter_names), 2, model.hidden_count]
+    x = ca.vertcat(ca.SX.sym("x", RIGID_BODY_STATES), hidden)
+    derivative = model.derivative(x, *(ca.SX.sym("argument", size) for size in sizes))[HIDDEN]
+    everything: list[int] = []
+    bounding: list[int] = []
+    for item in model.effects:
+        places = [model.parameter_index(f"{item.key}.{name}") for name in item.effect.time_constants]
+        everything += places
+        states = [slice(s.start - RIGID_BODY_STATES, s.stop - RIGID_BODY_STATES) for s in item.hidden.values()]
+        if not all(relaxes_alone(derivative, hidden, entries) for entries in states):
+            bounding += places
+    return everything, bounding
 
 
 def _phi(z: Expression) -> tuple[Expression, Expression, Expression]:

@@ -7,7 +7,7 @@ share of the model's own motion that it never meets. What lies between a motor c
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -37,12 +37,16 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """An error of every log. kind, place: which. std: before any flight. lasts: in which it is one and the same."""
+    """An error of every log. kind, place: which. std: before any flight. lasts: in which it is one and the same.
+
+    of: the hidden state whose start is unknown, in each piece of flight anew.
+    """
 
     kind: str
     place: int
     std: float
-    lasts: Literal["always", "flight", "block"]
+    lasts: Literal["always", "flight", "piece", "block"]
+    of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +79,30 @@ class Candidates:
         return len(self.columns) + len(self.nuisances)
 
 
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Offsets from hover of hidden states at a flight's start, by name.
+
+    fitted: of the model about which all is linear. candidates: of others, by number.
+    """
+
+    fitted: Mapping[str, float] = field(default_factory=dict)
+    candidates: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+
+    def of(self, layer: Sequence[int]) -> dict[str, float]:
+        """Of a model with some candidates in it."""
+        made = dict(self.fitted)
+        for number in layer:
+            made |= self.candidates.get(number, {})
+        return made
+
+
 def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]) -> Candidates:
     """The effects that these flights could show: at each grid point where they are not linear, once where they are."""
     every, taken = [], set()
     possible = make_candidates(vehicle, catalogue, segments)
     for candidate in sorted(possible, key=lambda c: c.effect.name in COMMAND_EFFECTS):
         effect = candidate.effect
-        if effect.hidden and effect.rotor_speed is None:
-            continue
         if candidate.fixed_shape and effect.rotor_speed is None:  # smooth at its present values, all free
             if candidate.key in taken:
                 continue
@@ -94,10 +114,11 @@ def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequ
             candidate = Candidate(
                 effect, candidate.rotor, candidate.present, effect.time_constants, (), candidate.present
             )
+        if has_states(effect) and not _is_followed(candidate, vehicle, catalogue, segments):
+            continue
         taken.add(candidate.key)
         every.append(candidate)
-    columns = tuple(Column(i, name) for i, c in enumerate(every) for name in (c.free or ("",)))
-    return Candidates(tuple(every), columns, nuisances(segments[0]))
+    return Candidates(tuple(every), _columns(every), nuisances(segments[0]))
 
 
 def nuisances(segment: Segment) -> tuple[Nuisance, ...]:
@@ -117,6 +138,61 @@ def nuisances(segment: Segment) -> tuple[Nuisance, ...]:
     return (*own, *blocks)
 
 
+def has_states(effect: Effect) -> bool:
+    """Whether it has hidden states that the vehicle's motion drives, and not a lag of the rotors."""
+    return bool(effect.hidden) and effect.rotor_speed is None
+
+
+def about(
+    what: Candidates, vehicle: Vehicle, catalogue: Mapping[str, Effect], fitted: Mapping[int, Mapping[str, float]]
+) -> Candidates:
+    """Candidates about the values of some: where these have hidden states, all that is on their grid is free, too, and
+    so are the hidden states' starts."""
+    every = list(what.all)
+    names = [every[i].effect.name for i in fitted] + [use.name for use in vehicle.effects]
+    if not any(has_states(catalogue[name]) for name in names):
+        return what
+    for number, values in fitted.items():
+        candidate = every[number]
+        if has_states(candidate.effect):
+            grid = [name for name in candidate.effect.refine if name not in candidate.free]
+            at = {**candidate.at, **{name: values[name] for name in grid if name in values}}
+            free = (*candidate.free, *grid)
+            every[number] = Candidate(candidate.effect, candidate.rotor, at, free, (), candidate.present)
+    starts = _starts(FlightModel(vehicle, fitted_uses(vehicle, every, fitted), catalogue))
+    return Candidates(tuple(every), _columns(every), (*what.nuisances, *starts))
+
+
+def fitted_uses(
+    vehicle: Vehicle, every: Sequence[Candidate], fitted: Mapping[int, Mapping[str, float]]
+) -> list[EffectUse]:
+    """The vehicle file's effects with the candidates that are fitted."""
+    used = {(use.name, use.rotor): use for use in vehicle.effects}
+    for number, values in fitted.items():
+        candidate = every[number]
+        used[candidate.identity] = EffectUse(candidate.effect.name, {**candidate.at, **values}, candidate.rotor)
+    return list(used.values())
+
+
+def _columns(every: Sequence[Candidate]) -> tuple[Column, ...]:
+    return tuple(Column(i, name) for i, c in enumerate(every) for name in (c.free or ("",)))
+
+
+def _starts(model: FlightModel) -> list[Nuisance]:
+    """The starts of a model's hidden states."""
+    starts = model.hidden.starts
+    return [Nuisance("start", place, std, "piece", name) for name, (place, std) in starts.items()]
+
+
+def _is_followed(
+    candidate: Candidate, vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
+) -> bool:
+    """Whether these logs' rate is high enough for a candidate's hidden states."""
+    model = FlightModel(vehicle, [EffectUse(candidate.effect.name, candidate.at, candidate.rotor)], catalogue)
+    period = 1 / min(segment.rate for segment in segments)
+    return model.hidden.is_followed(period, model.model.parameter_values)
+
+
 def inputs(
     rows: FlightRows,
     along: Along,
@@ -126,11 +202,12 @@ def inputs(
     what: Candidates,
     fitted: Mapping[int, Mapping[str, float]],
     only: Sequence[int] | None = None,
+    starts: Starts = Starts(),
 ) -> tuple[Floats, Floats]:
     """(N, 9, k) of the error state's end and (N, m, k) of the readings, by a unit of each parameter.
 
     uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
-    only: candidates of which columns are chosen; those of others are zero.
+    only: candidates of which columns are chosen; those of others are zero. starts: of hidden states.
     """
     N, K = len(rows), what.width
     count = along.speed.shape[1]
@@ -143,6 +220,14 @@ def inputs(
         acting[column] += moved
         readings[column, :, 9:12] += moved[:, :3]
 
+    def of_outputs(columns: Sequence[int], slopes: Floats) -> None:
+        acting[columns] = slopes[:, :, :6]
+        for place, kind in enumerate(KINDS[:4]):
+            readings[columns, :, 3 * place : 3 * place + 3] = slopes[:, :, OUTPUTS[kind]]
+        readings[columns, :, 12:] = (
+            slopes[:, :, SPEEDS : SPEEDS + count] - along.spin_up * slopes[:, :, SPEEDS + count, None]
+        )
+
     for layer in _layers(what, chosen, vehicle, catalogue):
         merged, free, columns = {f"{u.name}[{u.rotor}]": u for u in uses}, [], []
         for i in layer:
@@ -154,13 +239,7 @@ def inputs(
             free += [f"{candidate.key}.{name}" for name in candidate.free]
             columns += what.places(i)
         model = FlightModel(vehicle, list(merged.values()), catalogue)
-        slopes = model.parameter_slopes(rows, along, free).transpose(1, 0, 2)
-        acting[columns] = slopes[:, :, :6]
-        for place, kind in enumerate(KINDS[:4]):
-            readings[columns, :, 3 * place : 3 * place + 3] = slopes[:, :, OUTPUTS[kind]]
-        readings[columns, :, 12:] = (
-            slopes[:, :, SPEEDS : SPEEDS + count] - along.spin_up * slopes[:, :, SPEEDS + count, None]
-        )
+        of_outputs(columns, _slopes(model, rows, along, starts.of(layer), free))
     for i in chosen:
         candidate = what.all[i]
         if candidate.effect.rotor_speed is None:
@@ -171,6 +250,10 @@ def inputs(
         else:
             lagged = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
             of_rotors(column, lagged - rows.rotor_speed(None))
+    unknown = {n.of: i for i, n in enumerate(what.nuisances, len(what.columns)) if n.kind == "start"}
+    if unknown:
+        own = FlightModel(vehicle, uses, catalogue)
+        of_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
     for column, nuisance in enumerate(what.nuisances, len(what.columns)):
         kind, place = nuisance.kind, nuisance.place
         if kind == "gyro":
@@ -191,6 +274,27 @@ def inputs(
             acting[column, :, (3 if kind == "turning" else 0) + place] = motion[:, place] - motion[:, place].mean()
             readings[column, :, 9 + place] = acting[column, :, place] if kind == "force" else 0.0
     return _over_rows(rows, acting, readings)
+
+
+def _slopes(
+    model: FlightModel, rows: FlightRows, along: Along, starts: Mapping[str, float], free: Sequence[str]
+) -> Floats:
+    """(k, N, 19 + rotors) slopes of the model's outputs in parameters, or in starts of hidden states; zero in those of
+    effects whose hidden states cannot be followed along this flight."""
+    hidden, driving = model.hidden, model.driving(rows, along.reference)
+    path = model.hidden_path(rows, driving, starts)
+    lost = hidden.keys_of(~np.isfinite(path).all(axis=0))
+    path = np.where(np.isfinite(path).all(axis=0), path, model.model.hidden_initial)
+    named = [name for name in free if name not in hidden.starts]
+    slopes = {}
+    if named:
+        slopes = dict(zip(named, model.parameter_slopes(rows, along, named, path).transpose(1, 0, 2), strict=True))
+    for name in free:
+        if name.split(".")[0] in lost:
+            slopes[name] = np.zeros_like(slopes[name])
+        elif name not in slopes or hidden.depends_on(name):
+            slopes[name] = model.hidden_slope(rows, along, driving, starts, name)
+    return np.stack([slopes[name] for name in free])
 
 
 def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:

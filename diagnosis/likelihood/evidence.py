@@ -69,8 +69,8 @@ class Kind:
 
 
 def sums(kinds: Sequence[Kind], *, settled: bool, share: float = 1.0) -> Sums:
-    """Marginalise discrepancies of each block, then sensors of each flight, then what all flights of a kind share, with
-    the noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters; at last
+    """Marginalise discrepancies of each block, then hidden states' starts of each piece, sensors of each flight, and what
+    all flights of a kind share, with the noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters; at last
     what lies between command and thrust.
 
     settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
@@ -94,28 +94,35 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
     """(b, k, k) and (b, k) of the blocks of one kind of logs: of the candidates' columns alone."""
     what, noise = kind.problem.what, kind.noise
     K = len(what.columns)
-    lasting = ("block", "flight", "always")
+    lasting = ("block", "piece", "flight", "always")
     places = {name: [K + i for i, one in enumerate(what.nuisances) if one.lasts == name] for name in lasting}
     precision = np.concatenate([np.zeros(K), [1 / n.std**2 for n in what.nuisances], noise.precision])
     pull = np.concatenate([np.zeros(what.width), -noise.precision * noise.away])
     if settled:
         places["always"] += range(what.width, len(precision))
-    columns = [*range(K), *places["flight"], *places["always"]]
-    M_all, g_all, groups = [], [], []
-    for part in kind.information:
+    columns = [*range(K), *places["piece"], *places["flight"], *places["always"]]
+    M_all, g_all, groups, pieces = [], [], [], []
+    for place, part in enumerate(kind.information):
         M, g = _marginal(share * part.M, share * part.g, places["block"], columns, precision)
         M_all.append(M)
         g_all.append(g)
         groups += [part.group] * len(M)
+        pieces += [place] * len(M)
     M, g, group = np.concatenate(M_all), np.concatenate(g_all), np.array(groups)
-    for lasts, ids in (("flight", group), ("always", np.zeros(len(group), int))):
+    for lasts, ids in (("piece", np.array(pieces)), ("flight", group), ("always", np.zeros(len(group), int))):
+        if lasts == "piece" and not places[lasts]:
+            continue
         at = {c: i for i, c in enumerate(columns)}
         out, others = places[lasts], [c for c in columns if c not in places[lasts]]
         own, rest = [at[c] for c in out], [at[c] for c in others]
         M_next, g_next = np.empty((len(group), len(rest), len(rest))), np.empty((len(group), len(rest)))
         for one in np.unique(ids):
             here = ids == one
-            M_next[here], g_next[here], _ = _shared(M[here], g[here], own, rest, precision[out], pull[out])
+            prior = pull[out]
+            if lasts == "piece":
+                begun = kind.problem.starts.get(int(one), {})
+                prior = -precision[out] * [begun.get(what.nuisances[c - K].of, 0.0) for c in out]
+            M_next[here], g_next[here], _ = _shared(M[here], g[here], own, rest, precision[out], prior)
         M, g, columns = M_next, g_next, others
     return M, g
 
@@ -160,7 +167,7 @@ def present(problem: Problem) -> Floats:
         candidate = problem.what.all[number]
         for place, name in zip(problem.what.places(number), candidate.free or ("",), strict=True):
             if name:
-                now[place] = values[name] - candidate.at[name]
+                now[place] = values.get(name, candidate.at[name]) - candidate.at[name]
             else:  # a fixed shape that is fitted counts from where it vanishes, in its own parameter
                 now[place] = values[candidate.effect.time_constants[0]]
     return now

@@ -10,6 +10,7 @@ import numpy as np
 from diagnosis.likelihood.evidence import Kind, Scored, Search, present
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
+from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
 
@@ -36,10 +37,11 @@ def identify(
     progress(0.0, "the noise of the flights")
     noises = [likeliest(one, structures or structures_of(one.flights[0].segment)) for one in problems]
     members: tuple[int, ...] = ()
+    step = 0.0
     for number in range(t.rounds):
         progress(0.4 + 0.6 * number / t.rounds, "the effects that explain what is left")
         kinds = [_informed(one, noise, first=number == 0) for one, noise in zip(problems, noises, strict=True)]
-        settled = number >= t.settled_rounds
+        settled = number >= t.settled_rounds and (step < t.near or number == t.rounds - 1)
         search = Search(kinds, settled=settled)
         best = search.best(members)
         values = search.named_values(best)
@@ -50,7 +52,7 @@ def identify(
             break
         fitted = values | command_values(search, best)
         for place, problem in enumerate(problems):
-            problem.fitted = fitted
+            problem.move_to(fitted, starts_of(kinds[place], search, best))
             if number == t.settled_rounds - 1:
                 noise = noises[place]
                 noises[place] = fit_noise(problem, noise.structure, values=noise.values, only=members)
@@ -75,6 +77,32 @@ def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]
         number = what.columns[place].candidate
         name = what.columns[place].name
         made[number] = {name: what.all[number].at[name] + float(value)}
+    return made
+
+
+def starts_of(kind: Kind, search: Search, best: Scored) -> dict[int, dict[str, float]]:
+    """Where hidden states begin in each piece of flight beside a set's values: their most probable offsets from hover,
+    a step from the present ones."""
+    problem, what, limits = kind.problem, kind.problem.what, DEFAULT.prediction
+    own = [i for i, n in enumerate(what.nuisances) if n.kind == "start"]
+    if not own:
+        return {}
+    change, made, places = -present(problem), {}, search.places(best)
+    change[places] += best.values
+    commands = what.of_commands
+    change[commands] = search.total.of_commands(places, best.values, len(commands))
+    lasting = [i for i, n in enumerate(what.nuisances) if n.lasts != "block"]
+    columns = [len(what.columns) + i for i in lasting]
+    std = np.array([what.nuisances[i].std for i in lasting])
+    for place, part in enumerate(kind.information):
+        begun = problem.starts.get(place, {})
+        now = np.array([begun.get(what.nuisances[i].of, 0.0) for i in lasting])
+        M, g = part.M.sum(0), part.g.sum(0)
+        left = g[columns] - M[columns, : len(change)] @ change - now / std**2
+        step = np.linalg.solve(M[np.ix_(columns, columns)] + np.diag(std**-2.0), left)
+        step = np.clip(step, -limits.free_start_step * std, limits.free_start_step * std)
+        after = np.clip(now + step, -limits.free_start_reach * std, limits.free_start_reach * std)
+        made[place] = {what.nuisances[i].of: float(v) for i, v in zip(lasting, after, strict=True) if i in own}
     return made
 
 

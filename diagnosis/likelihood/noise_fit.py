@@ -144,7 +144,7 @@ class Fitter:
             X = -flat[:, 1:]
             M, g = M + X.T @ X, g + X.T @ flat[:, 0]
         size = np.sqrt(np.diag(M))
-        lasting = np.array([True] * len(what.columns) + [n.lasts != "block" for n in what.nuisances])
+        lasting = np.array([True] * len(what.columns) + [n.lasts in ("always", "flight") for n in what.nuisances])
         used = (size > 0) & lasting
         scaled = M[np.ix_(used, used)] / size[used] / size[used][:, None]
         prior = np.concatenate(

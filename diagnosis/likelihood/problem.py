@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from diagnosis.likelihood.columns import Candidates, inputs
+from diagnosis.likelihood.beginnings import beginning
+from diagnosis.likelihood.columns import Candidates, Starts, about, fitted_uses, has_states, inputs
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
 from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant
 from diagnosis.likelihood.innovations import start
@@ -43,6 +44,7 @@ class Problem:
     """Flights, their model, and what may be missing in it.
 
     uses: effects of the model about which everything is linear. fitted: of these the candidates, by number.
+    starts: of the hidden states, less hover's, by flight and name.
     """
 
     vehicle: Vehicle
@@ -52,15 +54,26 @@ class Problem:
     fitted: dict[int, dict[str, float]] = field(default_factory=dict)
     references: dict[int, Reference] = field(default_factory=dict)
     thresholds: LikelihoodThresholds = DEFAULT.likelihood
+    starts: dict[int, dict[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._bare, self.what = self.what, about(self.what, self.vehicle, self.catalogue, self.fitted)
+        self._beginnings: dict[tuple[int, int], dict[str, float]] = {}
+
+    def move_to(self, fitted: dict[int, dict[str, float]], starts: dict[int, dict[str, float]]) -> None:
+        """The model about which all is linear becomes that with these values of candidates, by number, and these
+        starts of hidden states, by flight and name; those that are new begin as they did as candidates."""
+        self.fitted = fitted
+        self.starts = {
+            place: {n: v for i in fitted for n, v in self._beginnings.get((place, i), {}).items()} | starts.get(place, {})
+            for place in range(len(self.flights))
+        }
+        self.what = about(self._bare, self.vehicle, self.catalogue, fitted)
 
     @property
     def uses(self) -> list[EffectUse]:
         """The vehicle file's effects with the candidates that are fitted."""
-        used = {(use.name, use.rotor): use for use in self.vehicle.effects}
-        for number, values in self.fitted.items():
-            candidate = self.what.all[number]
-            used[candidate.identity] = EffectUse(candidate.effect.name, {**candidate.at, **values}, candidate.rotor)
-        return list(used.values())
+        return fitted_uses(self.vehicle, self.what.all, self.fitted)
 
     def plant(self) -> Plant:
         """The rigid body about hover."""
@@ -85,7 +98,7 @@ class Problem:
         """The model along a flight about its reference."""
         lift = np.array([0.0, 0.0, GRAVITY])
         model = FlightModel(self.vehicle, self.uses, self.catalogue)
-        return model.along(self.flights[place], self.reference(place), lift)
+        return model.along(self.flights[place], self.reference(place), lift, self.starts.get(place))
 
     def relinearise(self, gain: Gain, places: Iterable[int] | None = None) -> None:
         """The reference of each flight, or of some, becomes what the filter predicts from earlier rows."""
@@ -96,7 +109,18 @@ class Problem:
 
     def columns(self, place: int, along: Along, only: Sequence[int] | None = None) -> tuple[Floats, Floats]:
         """Inputs of candidates and nuisances along a flight."""
-        return inputs(self.flights[place], along, self.vehicle, self.catalogue, self.uses, self.what, self.fitted, only)
+        what = self.what
+        chosen = [i for i in (range(len(what.all)) if only is None else only) if i not in self.fitted]
+        begun = {i: self._beginning(place, i, along) for i in chosen if has_states(what.all[i].effect)}
+        starts, model = Starts(self.starts.get(place, {}), begun), (self.vehicle, self.catalogue, self.uses)
+        return inputs(self.flights[place], along, *model, what, self.fitted, only, starts)
+
+    def _beginning(self, place: int, number: int, along: Along) -> dict[str, float]:
+        """Where the hidden states of a candidate begin in a flight."""
+        if (place, number) not in self._beginnings:
+            model = self.what.all[number], self.uses, self.vehicle, self.catalogue
+            self._beginnings[place, number] = beginning(*model, self.flights[place], along)
+        return self._beginnings[place, number]
 
     def information(self, gain: Gain, noise: NoiseSlopes, only: Sequence[int] | None = None) -> list[Information]:
         """Each flight's sums; the noise's hyperparameters are the last columns."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
 from diagnosis.likelihood.gain import decoupled, unread
+from diagnosis.likelihood.hidden_states import HiddenStates
 from diagnosis.likelihood.innovations import Linearised
 from diagnosis.models.batched_function import RowFunction
 from dynamics import quaternion
@@ -35,6 +36,7 @@ SPEEDS = 18
 # of a period after the row before: where a line has its effect on a rate that is read in the middle of a row (3/4), or
 # as its mean (5/6)
 BEFORE_READING = 0.8
+START_STEP, PARAMETER_STEP = 0.05, 1e-3  # deviations of a start, and relative, for slopes of hidden states by differences
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 
@@ -49,6 +51,7 @@ class Along:
     slope: (N, 6, 9) of both in the error state; by_rotor (N, 6, rotors).
     defect: (N, 9 or 9 + 2 rotors) where a row's model ends, less the reference there.
     difference: (N, m) readings less the model's.
+    hidden: (N, h) hidden states of effects.
     model: for the filter.
     """
 
@@ -65,6 +68,7 @@ class Along:
     by_rotor: Floats
     defect: Floats
     difference: Floats
+    hidden: Floats
     model: Linearised
 
 
@@ -78,6 +82,7 @@ class FlightModel:
         lags = [use for use in uses if catalogue[use.name].rotor_speed is not None]
         self.uses = [use for use in uses if use not in lags]
         self.model: Model = build_model(vehicle, effects=self.uses, catalogue=catalogue)
+        self.hidden = HiddenStates(self.model)
         self.lag = sum(use.parameters["time_constant"] for use in lags) or None if lags else None
 
     def speeds(self, rows: FlightRows, reference: Reference) -> tuple[Floats, Floats]:
@@ -88,17 +93,23 @@ class FlightModel:
         speed = rows.rotor_speed(self.lag)
         return speed, np.gradient(speed, rows.period, axis=0)
 
-    def along(self, rows: FlightRows, reference: Reference, hover_force: Floats) -> Along:
-        """The model along a flight. hover_force: about which the noise's transition is constant."""
+    def along(
+        self, rows: FlightRows, reference: Reference, hover_force: Floats, starts: Mapping[str, float] | None = None
+    ) -> Along:
+        """The model along a flight. hover_force: about which the noise's transition is constant. starts: of hidden
+        states. Raises LinAlgError where these cannot be followed."""
         dt, count = rows.period, self.model.vehicle.rotors.count
         speed, spin_up = self.speeds(rows, reference)
         early = speed if "rotor_speed" in rows.readings else before_reading(speed)
         v, R, w = reference.velocity[:-1], reference.rotation[:-1], reference.rate[:-1]
-        start = self._evaluated(rows, v, R, w, early, spin_up, ())[:, :6]
+        hidden = self.hidden_path(rows, self.driving(rows, reference), starts or {})
+        if not np.isfinite(hidden).all():
+            raise np.linalg.LinAlgError("hidden states of the model are not finite along a flight")
+        start = self._evaluated(rows, v, R, w, early, spin_up, (), hidden)[:, :6]
         v_half = v + dt / 2 * (np.einsum("tij,tj->ti", R, start[:, :3]) - [0, 0, GRAVITY])
         R_half = R @ exponential(dt / 2 * w + dt**2 / 8 * start[:, 3:])
         w_half = w + dt / 2 * start[:, 3:]
-        out = self._evaluated(rows, v_half, R_half, w_half, speed, spin_up, ())
+        out = self._evaluated(rows, v_half, R_half, w_half, speed, spin_up, (), hidden)
         force, turning = out[:, OUTPUTS["force"]], out[:, OUTPUTS["turning"]]
         slopes = out[:, SPEEDS + count + 1 :].reshape(len(rows), 6 + count, 6).transpose(0, 2, 1)
         slope = np.zeros((len(rows), 6, 9))
@@ -130,19 +141,92 @@ class FlightModel:
         conditions = np.concatenate([force - hover_force, w_half], axis=1)
         model = Linearised(A, C, np.ascontiguousarray(conditions))
         motion = (reference, v_half, R_half, w_half, speed, spin_up, self.lag, force, turning)
-        return Along(*motion, slope, slopes[:, :, 6:], defect, difference, model)
+        return Along(*motion, slope, slopes[:, :, 6:], defect, difference, hidden, model)
 
-    def parameter_slopes(self, rows: FlightRows, along: Along, free: Sequence[str]) -> Floats:
-        """(N, k, 19 + rotors) slopes of the outputs in parameters, by the model's names."""
-        values = self._evaluated(rows, along.velocity, along.rotation, along.rate, along.speed, along.spin_up, free)
+    def driving(self, rows: FlightRows, reference: Reference) -> Floats:
+        """(N, 13 + rotors + 2) what drives hidden states in the rows' middles; empty without any."""
+        if not self.hidden.count:
+            return np.zeros((len(rows), 0))
+        R, w = reference.rotation[:-1], reference.rate[:-1]
+        v_half, w_half = (values[:-1] / 2 + values[1:] / 2 for values in (reference.velocity, reference.rate))
+        q = quaternion.from_rotation_matrix(R @ exponential(rows.period / 2 * w))
+        return np.hstack([rows.position, v_half, q, w_half, self.speeds(rows, reference)[0], rows.environment])
+
+    def hidden_path(
+        self, rows: FlightRows, driving: Floats, starts: Mapping[str, float], values: Floats | None = None
+    ) -> Floats:
+        """(N, h) hidden states along a flight, not finite where its rows are too far apart for them.
+
+        They begin where the piece of flight before ends, or in hover. starts: offsets there, by name. values: of the
+        parameters instead of the model's.
+        """
+        p = self.model.parameter_values if values is None else values
+        start = self.hidden.begins_at({})
+        if rows.before is not None and self.hidden.count:
+            before = self.driving(rows.before, rows.before.measured_reference())
+            start = self.hidden.path(before, rows.period, start, p)[-1]
+        start = start + self.hidden.begins_at(starts) - self.hidden.begins_at({})
+        return self.hidden.path(driving, rows.period, start, p)
+
+    def parameter_slopes(self, rows: FlightRows, along: Along, free: Sequence[str], hidden: Floats) -> Floats:
+        """(N, k, 19 + rotors) slopes of the outputs in parameters, by the model's names, with hidden states as given.
+
+        hidden: (N, h).
+        """
+        motion = (along.velocity, along.rotation, along.rate, along.speed, along.spin_up)
+        values = self._evaluated(rows, *motion, free, hidden)
         return values.reshape(len(rows), len(free), values.shape[1] // max(len(free), 1))
 
-    def _evaluated(
-        self, rows: FlightRows, v: Floats, R: Floats, w: Floats, speed: Floats, spin_up: Floats, free: Sequence[str]
+    def hidden_slope(
+        self, rows: FlightRows, along: Along, driving: Floats, starts: Mapping[str, float], name: str
     ) -> Floats:
-        q = quaternion.from_rotation_matrix(R)
+        """(N, 19 + rotors) slope of the outputs in a parameter on which the hidden states depend, or in one of their
+        starts: the difference between two values of it."""
+        ends, outputs = self._ends(name, starts), []
+        for end in ends:
+            p, begins = self.model.parameter_values.copy(), dict(starts)
+            if name in self.hidden.starts:
+                begins[name] = end
+            else:
+                p[self.model.parameter_index(name)] = end
+            path = self.hidden_path(rows, driving, begins, p)
+            outputs.append(self.outputs(rows, along, path, p))
+        return np.asarray((outputs[1] - outputs[0]) / (ends[1] - ends[0]))
+
+    def outputs(self, rows: FlightRows, along: Along, hidden: Floats, values: Floats | None = None) -> Floats:
+        """(n, 19 + rotors) the model's outputs with hidden states (n, h) as given, of a flight's first n rows."""
+        n, count = len(hidden), along.speed.shape[1]
+        motion = (along.velocity, along.rotation, along.rate, along.speed, along.spin_up)
+        made = self._evaluated(rows, *(part[:n] for part in motion), (), hidden, values)
+        return made[:, : SPEEDS + count + 1]
+
+    def _ends(self, name: str, starts: Mapping[str, float]) -> tuple[float, float]:
+        """Two values, near the present one, between which a slope is taken."""
+        if name in self.hidden.starts:
+            step = START_STEP * self.hidden.starts[name][1]
+            return starts.get(name, 0.0) - step, starts.get(name, 0.0) + step
+        key, own = name.rsplit(".", 1)
+        parameter = next(p for item in self.model.effects if item.key == key for p in item.effect.parameters if p.name == own)
+        value = float(self.model.parameter_values[self.model.parameter_index(name)])
+        step = PARAMETER_STEP * (abs(value) or parameter.prior(self.model.vehicle).std)
+        return max(parameter.lower, value - step), min(parameter.upper, value + step)
+
+    def _evaluated(
+        self,
+        rows: FlightRows,
+        v: Floats,
+        R: Floats,
+        w: Floats,
+        speed: Floats,
+        spin_up: Floats,
+        free: Sequence[str],
+        hidden: Floats,
+        values: Floats | None = None,
+    ) -> Floats:
+        q, p = quaternion.from_rotation_matrix(R), self.model.parameter_values if values is None else values
         function = _function(self.model, tuple(free))
-        return function(v, q, w, rows.position, speed, spin_up, rows.environment, self.model.parameter_values)
+        states = (hidden,) if hidden.shape[1] else ()
+        return function(v, q, w, rows.position[: len(v)], speed, spin_up, rows.environment[: len(v)], p, *states)
 
     def _difference(self, rows: FlightRows, v: Floats, R: Floats, spin_up: Floats, out: Floats) -> Floats:
         """(N, m) readings less the model's, in body axes."""
@@ -203,18 +287,19 @@ def _transition(
 
 
 def _function(model: Model, free: tuple[str, ...]) -> RowFunction:
-    """(v, q, w, position, speed, change of speed, environment, p) -> outputs and their slopes in v, w and speed; or
-    slopes in free parameters."""
+    """(v, q, w, position, speed, change of speed, environment, p, hidden states if any) -> outputs and their slopes in
+    v, w and speed; or slopes in free parameters."""
     key = (model.structure, free)
     if key not in _functions:
         if len(_functions) >= MAX_SAVED:
             _functions.clear()
         count = model.vehicle.rotors.count
         sizes = {"v": 3, "q": 4, "w": 3, "position": 3, "u": count, "a": count, "e": 2, "p": len(model.parameter_names)}
+        if model.hidden_count:
+            sizes["hidden"] = model.hidden_count
         s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-        force, turning = model.respond(
-            ca.vertcat(s["position"], s["v"], s["q"], s["w"]), s["u"], s["a"], s["p"], s["e"]
-        )
+        state = ca.vertcat(s["position"], s["v"], s["q"], s["w"], s.get("hidden", ca.SX.zeros(0)))
+        force, turning = model.respond(state, s["u"], s["a"], s["p"], s["e"])
         read = model.measure(force, s["w"], s["u"], s["p"], turning)
         accelerometer, rate, speed, age, attitude_age, arm, axes, rotor_age = read
         gyro = quaternion.rotate_inverse(axes, rate)

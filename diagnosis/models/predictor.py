@@ -22,7 +22,7 @@ from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
-from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, relaxation_of, relaxes_alone
+from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, lag_places, relaxation_of
 from dynamics.kinematics import lever_arm_acceleration
 from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
@@ -262,7 +262,7 @@ class _Functions:
         ages = ca.densify(_ages(model, self._symbols["p"]))
         self._ages = np.array(ca.DM(ages)).ravel() if ages.is_constant() else None  # where no effect has one
         self._ages_at = ca.Function("ages", [self._symbols["p"]], [ages])
-        self.lags, self.step_bounds = _lags(model)
+        self.lags, self.step_bounds = lag_places(model)
         self.hidden_slope, self.hidden_parameters = _hidden_slope_text(model)
         self._advances: dict[int, Recurrence] = {}
 
@@ -306,26 +306,6 @@ def _functions_of(model: Model, free: tuple[str, ...]) -> _Functions:
             _functions.clear()
         _functions[model.structure, free] = _Functions(model, free)
     return _functions[model.structure, free]
-
-
-def _lags(model: Model) -> tuple[list[int], list[int]]:
-    """Places of the time constants among the parameters: of all effects, and of those that bound the integration step.
-
-    Hidden states that relax by themselves are integrated exactly, so that their time constants bound nothing.
-    """
-    hidden = ca.SX.sym("hidden", model.hidden_count)
-    sizes = [model.input_count, len(model.parameter_names), 2, model.hidden_count]
-    x = ca.vertcat(ca.SX.sym("x", RIGID_BODY_STATES), hidden)
-    derivative = model.derivative(x, *(ca.SX.sym("argument", size) for size in sizes))[HIDDEN]
-    everything: list[int] = []
-    bounding: list[int] = []
-    for item in model.effects:
-        places = [model.parameter_index(f"{item.key}.{name}") for name in item.effect.time_constants]
-        everything += places
-        states = [slice(s.start - RIGID_BODY_STATES, s.stop - RIGID_BODY_STATES) for s in item.hidden.values()]
-        if not all(relaxes_alone(derivative, hidden, entries) for entries in states):
-            bounding += places
-    return everything, bounding
 
 
 def _hidden_slope_text(model: Model) -> tuple[str, list[int]]:

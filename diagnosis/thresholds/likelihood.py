@@ -19,6 +19,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     ridge: prior of all candidates while noise is fitted, of their own information. [formula: rounding]
     rounds: of search, each linear about the last one's answer. [cost]
     settled_rounds: after which the noise's values are among the nuisances. [definition: near the optimum]
+    near: largest step of a value in the round before, in its deviations, with which they are. [definition: what a
+        model that is farther off leaves is taken for noise, and the slopes in the noise for slopes of the model]
     settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]
     trusted: s of flight whose evidence counts, however long the flights are: no model is right to more than its share
         of each second. [decisions: calibrated on other seeds than the page's, and on its recordings]
@@ -39,6 +41,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     ridge: Positive = 1e-4
     rounds: Count = 6
     settled_rounds: Count = 2
+    near: Positive = 3.0
     settled_step: Positive = 0.3
     trusted: Positive = 2.0
     named: Positive = 3.0

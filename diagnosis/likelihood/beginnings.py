@@ -1,0 +1,97 @@
+"""Where the hidden states of an effect that may be missing begin: a log may start while a load swings already.
+
+Gauss-Newton on what the model leaves of the first seconds' specific force, beside what else may be missing there: a
+bias, a drag by axis and a share of the thrust. The effect has the strength that leaves least, which need not be right:
+it is linear in that, and once it is fitted the starts are columns of the filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diagnosis.likelihood.flight_rows import FlightRows
+from diagnosis.likelihood.rigid_body import OUTPUTS, Along, FlightModel
+from diagnosis.selection.candidates import Candidate
+from diagnosis.thresholds import DEFAULT
+from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+
+TINY = 1e-12
+
+
+def beginning(
+    candidate: Candidate,
+    uses: Sequence[EffectUse],
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    rows: FlightRows,
+    along: Along,
+) -> dict[str, float]:
+    """Offsets from hover of a candidate's hidden states at a flight's start, by name. uses: of the model beside it."""
+    limits, usual = DEFAULT.prediction, candidate.effect.defaults(vehicle)
+
+    def model_with(factor: float) -> FlightModel:
+        strong = {name: candidate.at[name] + factor * (usual[name] - candidate.at[name]) for name in candidate.free}
+        others = [use for use in uses if (use.name, use.rotor) != candidate.identity]
+        return FlightModel(vehicle, [*others, EffectUse(candidate.effect.name, {**candidate.at, **strong}, candidate.rotor)], catalogue)
+
+    model, count = model_with(1.0), max(1, round(limits.free_start_durations[-1] / rows.period))
+    own = {name: std for name, (_, std) in model.hidden.starts.items() if name.rsplit(".", 1)[0] == candidate.key}
+    if not own:
+        return {}
+    base, left = _forces(rows, along)
+    driving = model.driving(rows, along.reference)[:count]
+    names, std = list(own), np.array(list(own.values()))
+
+    def pushed(off: Floats) -> Floats:
+        starts = dict(zip(names, off * std, strict=True))
+        path = model.hidden_path(rows, driving, starts)
+        return model.outputs(rows, along, path)[: len(path), OUTPUTS["force"]] - base[:count]
+
+    off, left = np.zeros(len(names)), left[:count]
+    if "rotor_speed" in rows.readings:
+        push = pushed(off)
+        model = model_with(float(np.clip(np.sum(push * left) / np.sum(push**2), *limits.free_start_strength)))
+    nuisances = _nuisances(along, base)[:count]
+    for _ in range(limits.free_start_steps):
+        here = pushed(off)
+        step = limits.free_start_difference
+        slopes = np.stack([(pushed(off + row) - here) / step for row in step * np.eye(len(off))], axis=2)
+        change = _posterior_step(np.concatenate([slopes, nuisances], axis=2), left - here, off)
+        off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
+        off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
+    return dict(zip(names, (off * std).tolist(), strict=True))
+
+
+def _forces(rows: FlightRows, along: Along) -> tuple[Floats, Floats]:
+    """(N, 3) specific force of the model, and what of that which was read, or which the velocity shows, it leaves."""
+    if "accelerometer" in rows.readings:
+        return along.force, rows.force - along.force
+    slope = np.gradient(rows.velocity, rows.period, axis=0) + [0, 0, GRAVITY]
+    return along.force, np.einsum("tji,tj->ti", along.rotation, slope) - along.force
+
+
+def _nuisances(along: Along, base: Floats) -> Floats:
+    """(N, 3, 7) columns of a bias and a drag by axis, and of the thrust's error."""
+    air, axes = np.einsum("tji,tj->ti", along.rotation, along.velocity), np.eye(3)
+    bias = np.broadcast_to(axes, (len(base), 3, 3))
+    return np.concatenate([bias, air[:, :, None] * axes, base[:, :, None]], axis=2)
+
+
+def _posterior_step(columns: Floats, left: Floats, off: Floats) -> Floats:
+    """(k,) Gauss-Newton step of values that are (k,) `off` from their prior's mean, in its standard deviations.
+
+    columns: (N, 3, k + j) of these and of j nuisances without a prior. left: (N, 3) that they explain.
+    """
+    a, y, count = columns.reshape(-1, columns.shape[2]), left.ravel(), len(off)
+    if not (np.isfinite(a).all() and np.isfinite(y).all()):
+        return np.zeros(count)
+    gram, product = a.T @ a, a.T @ y
+    gram += 1e-9 * np.diag(np.diag(gram)) + TINY * np.eye(len(gram))
+    noise = np.mean((y - a @ np.linalg.solve(gram, product)) ** 2)
+    gram[:count, :count] += noise * np.eye(count)
+    product[:count] -= noise * off
+    return np.asarray(np.linalg.solve(gram, product)[:count])

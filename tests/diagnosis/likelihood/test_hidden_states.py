@@ -1,0 +1,50 @@
+"""Effects with states of their own, as a load that swings: their columns, starts and values."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnosis.likelihood.problem import Problem
+from diagnosis.likelihood.rigid_body import FlightModel
+from dynamics.vehicle import GRAVITY
+from tests.diagnosis.likelihood.flights import problem_of
+
+LOAD = {"mass": 0.03, "length": 0.5}
+STARTS = {"slung_load.line_x[0]": 0.2, "slung_load.swing_y[0]": 0.7}
+
+
+def loaded(values: dict[str, float], starts: dict[str, float]) -> tuple[Problem, int]:
+    """A flight's problem about a model with a load, and the load's number among the candidates."""
+    problem = problem_of("nothing", "speeds", 90002, 1)
+    number = next(i for i, c in enumerate(problem.what.all) if c.effect.name == "slung_load")
+    problem = dataclasses.replace(problem)
+    problem.move_to({number: values}, {0: starts})
+    return problem, number
+
+
+@pytest.mark.parametrize(
+    ("name", "step"), [("mass", 1e-4), ("length", 1e-4), ("slung_load.line_x[0]", 1e-3), ("slung_load.swing_y[0]", 1e-3)]
+)
+def test_columns_of_a_load_and_of_its_start_are_slopes_of_the_model(name, step):
+    problem, number = loaded(LOAD, STARTS)
+    what, rows, lift = problem.what, problem.flights[0], np.array([0.0, 0.0, GRAVITY])
+    if name in LOAD:
+        column = what.places(number)[what.all[number].free.index(name)]
+    else:
+        column = len(what.columns) + [n.of for n in what.nuisances].index(name)
+    along = problem.along(0)
+    B, D = problem.columns(0, along, [number])
+    ends = []
+    for sign in (1, -1):
+        values = {**LOAD, name: LOAD[name] + sign * step} if name in LOAD else LOAD
+        starts = STARTS if name in LOAD else {**STARTS, name: STARTS.get(name, 0.0) + sign * step}
+        moved, _ = loaded(values, starts)
+        model = FlightModel(moved.vehicle, moved.uses, moved.catalogue)
+        ends.append(model.along(rows, along.reference, lift, starts))
+    defect = (ends[0].defect - ends[1].defect)[:, :9] / (2 * step)
+    read = -(ends[0].difference - ends[1].difference) / (2 * step)
+    np.testing.assert_allclose(B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
+    np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
