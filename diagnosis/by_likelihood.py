@@ -103,7 +103,7 @@ def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Proble
         ends = [round(i * len(segment) / count) for i in range(count + 1)]
         made = [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
         kind = (made[0].readings, round(1 / made[0].period), segment.rotor_source, segment.pose_source)
-        followed = [replace(piece, before=last) for last, piece in itertools.pairwise(made)]
+        followed = [replace(after, before=last) for last, after in itertools.pairwise(made)]
         rows.setdefault(kind, []).extend([made[0], *followed])
     return [
         Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)

@@ -188,17 +188,11 @@ class _Answer:
 
 
 def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
-    """By the likelihood. Effects with a state of their own, as a load that swings, are none of its candidates: where
-    something is left, the regression's answer with one of these counts if that leaves nothing."""
+    """By the likelihood, or by the regression where no stationary filter has such readings."""
     try:
-        answer = _by_likelihood(first, dataset, part_of(progress, 0.0, 0.7))
-    except np.linalg.LinAlgError:  # no stationary filter has such readings
+        return _by_likelihood(first, dataset, part_of(progress, 0.0, 0.7))
+    except np.linalg.LinAlgError:
         return _by_regression(first, dataset, part_of(progress, 0.7, 1.0))
-    if answer.judged.rejected:
-        other = _by_regression(first, dataset, part_of(progress, 0.7, 1.0))
-        hidden = any(c.effect.hidden and c.effect.rotor_speed is None for c in other.accepted.fit.candidates)
-        return other if hidden and not other.judged.rejected else answer
-    return answer
 
 
 def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:

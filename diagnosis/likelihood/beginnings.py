@@ -36,7 +36,9 @@ def beginning(
     def model_with(factor: float) -> FlightModel:
         strong = {name: candidate.at[name] + factor * (usual[name] - candidate.at[name]) for name in candidate.free}
         others = [use for use in uses if (use.name, use.rotor) != candidate.identity]
-        return FlightModel(vehicle, [*others, EffectUse(candidate.effect.name, {**candidate.at, **strong}, candidate.rotor)], catalogue)
+        return FlightModel(
+            vehicle, [*others, EffectUse(candidate.effect.name, {**candidate.at, **strong}, candidate.rotor)], catalogue
+        )
 
     model, count = model_with(1.0), max(1, round(limits.free_start_durations[-1] / rows.period))
     own = {name: std for name, (_, std) in model.hidden.starts.items() if name.rsplit(".", 1)[0] == candidate.key}

@@ -39,13 +39,13 @@ class Column:
 class Nuisance:
     """An error of every log. kind, place: which. std: before any flight. lasts: in which it is one and the same.
 
-    of: the hidden state whose start is unknown, in each piece of flight anew.
+    of: the hidden state whose start is unknown, in each part of a flight anew.
     """
 
     kind: str
     place: int
     std: float
-    lasts: Literal["always", "flight", "piece", "block"]
+    lasts: Literal["always", "flight", "part", "block"]
     of: str = ""
 
 
@@ -65,7 +65,7 @@ class Candidates:
         return [i for i, column in enumerate(self.columns) if column.candidate == number]
 
     def with_errors_of(self, segment: Segment) -> Candidates:
-        """The same candidates beside the errors of logs of the kind of a segment."""
+        """Candidates beside the errors of logs of the kind of a segment."""
         return replace(self, nuisances=nuisances(segment))
 
     @property
@@ -181,14 +181,14 @@ def _columns(every: Sequence[Candidate]) -> tuple[Column, ...]:
 def _starts(model: FlightModel) -> list[Nuisance]:
     """The starts of a model's hidden states."""
     starts = model.hidden.starts
-    return [Nuisance("start", place, std, "piece", name) for name, (place, std) in starts.items()]
+    return [Nuisance("start", place, std, "part", name) for name, (place, std) in starts.items()]
 
 
 def _is_followed(
     candidate: Candidate, vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> bool:
     """Whether these logs' rate is high enough for a candidate's hidden states."""
-    model = FlightModel(vehicle, [EffectUse(candidate.effect.name, candidate.at, candidate.rotor)], catalogue)
+    model = FlightModel(vehicle, [EffectUse(candidate.effect.name, dict(candidate.at), candidate.rotor)], catalogue)
     period = 1 / min(segment.rate for segment in segments)
     return model.hidden.is_followed(period, model.model.parameter_values)
 
@@ -283,8 +283,9 @@ def _slopes(
     effects whose hidden states cannot be followed along this flight."""
     hidden, driving = model.hidden, model.driving(rows, along.reference)
     path = model.hidden_path(rows, driving, starts)
-    lost = hidden.keys_of(~np.isfinite(path).all(axis=0))
-    path = np.where(np.isfinite(path).all(axis=0), path, model.model.hidden_initial)
+    finite = np.isfinite(path).all(axis=0)
+    lost = hidden.keys_of(np.asarray(~finite))
+    path = np.where(finite, path, model.model.hidden_initial)
     named = [name for name in free if name not in hidden.starts]
     slopes = {}
     if named:

@@ -69,9 +69,9 @@ class Kind:
 
 
 def sums(kinds: Sequence[Kind], *, settled: bool, share: float = 1.0) -> Sums:
-    """Marginalise discrepancies of each block, then hidden states' starts of each piece, sensors of each flight, and what
-    all flights of a kind share, with the noise's hyperparameters among it: under feedback they are not independent of the vehicle's parameters; at last
-    what lies between command and thrust.
+    """Marginalise discrepancies of each block, then hidden states' starts of each part of a flight, sensors of each
+    flight, and what all flights of a kind share, with the noise's hyperparameters among it: under feedback they are not
+    independent of the vehicle's parameters; at last what lies between command and thrust.
 
     settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
     share: power of the likelihood.
@@ -94,23 +94,23 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
     """(b, k, k) and (b, k) of the blocks of one kind of logs: of the candidates' columns alone."""
     what, noise = kind.problem.what, kind.noise
     K = len(what.columns)
-    lasting = ("block", "piece", "flight", "always")
+    lasting = ("block", "part", "flight", "always")
     places = {name: [K + i for i, one in enumerate(what.nuisances) if one.lasts == name] for name in lasting}
     precision = np.concatenate([np.zeros(K), [1 / n.std**2 for n in what.nuisances], noise.precision])
     pull = np.concatenate([np.zeros(what.width), -noise.precision * noise.away])
     if settled:
         places["always"] += range(what.width, len(precision))
-    columns = [*range(K), *places["piece"], *places["flight"], *places["always"]]
-    M_all, g_all, groups, pieces = [], [], [], []
+    columns = [*range(K), *places["part"], *places["flight"], *places["always"]]
+    M_all, g_all, groups, ids_of_parts = [], [], [], []
     for place, part in enumerate(kind.information):
         M, g = _marginal(share * part.M, share * part.g, places["block"], columns, precision)
         M_all.append(M)
         g_all.append(g)
         groups += [part.group] * len(M)
-        pieces += [place] * len(M)
+        ids_of_parts += [place] * len(M)
     M, g, group = np.concatenate(M_all), np.concatenate(g_all), np.array(groups)
-    for lasts, ids in (("piece", np.array(pieces)), ("flight", group), ("always", np.zeros(len(group), int))):
-        if lasts == "piece" and not places[lasts]:
+    for lasts, ids in (("part", np.array(ids_of_parts)), ("flight", group), ("always", np.zeros(len(group), int))):
+        if lasts == "part" and not places[lasts]:
             continue
         at = {c: i for i, c in enumerate(columns)}
         out, others = places[lasts], [c for c in columns if c not in places[lasts]]
@@ -119,7 +119,7 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
         for one in np.unique(ids):
             here = ids == one
             prior = pull[out]
-            if lasts == "piece":
+            if lasts == "part":
                 begun = kind.problem.starts.get(int(one), {})
                 prior = -precision[out] * [begun.get(what.nuisances[c - K].of, 0.0) for c in out]
             M_next[here], g_next[here], _ = _shared(M[here], g[here], own, rest, precision[out], prior)

@@ -35,7 +35,7 @@ class Reference:
 class FlightRows:
     """N rows of a segment.
 
-    period: s. readings: kinds that were logged. before: the piece of the same segment that ends where it begins.
+    period: s. readings: kinds that were logged. before: the part of the same segment that ends where it begins.
     velocity (N, 3) world, rotation (N, 3, 3), rate (N, 3), force (N, 3), position (N, 3), environment (N, 2).
     """
 

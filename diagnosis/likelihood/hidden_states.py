@@ -1,7 +1,7 @@
 """Hidden states of effects along a reference, as a load that swings has: a known input, which the motion drives.
 
-They are integrated as a simulator would, along the reference's motion and the rotors' speeds, at each row's middle. What
-turbulence does to them beyond the motion that is seen is left to the noise of the filter.
+They are integrated along the reference's motion and the rotors' speeds, at each row's middle. What turbulence does to
+them beyond the motion that is seen is left to the noise of the filter.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ class HiddenStates:
             for hidden in item.effect.hidden:
                 entries = item.hidden[hidden.name]
                 for place in range(entries.start, entries.stop) if hidden.start_std else ():
-                    made[f"{item.key}.{hidden.name}[{place - entries.start}]"] = place - RIGID_BODY_STATES, hidden.start_std
+                    made[f"{item.key}.{hidden.name}[{place - entries.start}]"] = (
+                        place - RIGID_BODY_STATES,
+                        hidden.start_std,
+                    )
         return made
 
     def begins_at(self, offsets: Mapping[str, float]) -> Floats:
@@ -106,7 +109,7 @@ class _Functions:
         return stride, required if required <= limits.max_substeps else None
 
     def _made(self, steps: int) -> Recurrence:
-        """(hidden, before, after, p, dt) -> hidden states one stride later; between two rows motion changes linearly."""
+        """(hidden, before, after, p, dt) -> hidden states one stride later; between rows motion is linear."""
         model = self._model
         width = RIGID_BODY_STATES + model.input_count + 2
         before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")

@@ -81,7 +81,7 @@ def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]
 
 
 def starts_of(kind: Kind, search: Search, best: Scored) -> dict[int, dict[str, float]]:
-    """Where hidden states begin in each piece of flight beside a set's values: their most probable offsets from hover,
+    """Where hidden states begin in each part of a flight beside a set's values: their most probable offsets from hover,
     a step from the present ones."""
     problem, what, limits = kind.problem, kind.problem.what, DEFAULT.prediction
     own = [i for i, n in enumerate(what.nuisances) if n.kind == "start"]

@@ -65,7 +65,8 @@ class Problem:
         starts of hidden states, by flight and name; those that are new begin as they did as candidates."""
         self.fitted = fitted
         self.starts = {
-            place: {n: v for i in fitted for n, v in self._beginnings.get((place, i), {}).items()} | starts.get(place, {})
+            place: {n: v for i in fitted for n, v in self._beginnings.get((place, i), {}).items()}
+            | starts.get(place, {})
             for place in range(len(self.flights))
         }
         self.what = about(self._bare, self.vehicle, self.catalogue, fitted)

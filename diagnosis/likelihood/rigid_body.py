@@ -36,7 +36,10 @@ SPEEDS = 18
 # of a period after the row before: where a line has its effect on a rate that is read in the middle of a row (3/4), or
 # as its mean (5/6)
 BEFORE_READING = 0.8
-START_STEP, PARAMETER_STEP = 0.05, 1e-3  # deviations of a start, and relative, for slopes of hidden states by differences
+START_STEP, PARAMETER_STEP = (
+    0.05,
+    1e-3,
+)  # deviations of a start, and relative, for slopes of hidden states by differences
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 
@@ -157,7 +160,7 @@ class FlightModel:
     ) -> Floats:
         """(N, h) hidden states along a flight, not finite where its rows are too far apart for them.
 
-        They begin where the piece of flight before ends, or in hover. starts: offsets there, by name. values: of the
+        They begin where the part of the flight before ends, or in hover. starts: offsets there, by name. values: of the
         parameters instead of the model's.
         """
         p = self.model.parameter_values if values is None else values
@@ -196,8 +199,8 @@ class FlightModel:
     def outputs(self, rows: FlightRows, along: Along, hidden: Floats, values: Floats | None = None) -> Floats:
         """(n, 19 + rotors) the model's outputs with hidden states (n, h) as given, of a flight's first n rows."""
         n, count = len(hidden), along.speed.shape[1]
-        motion = (along.velocity, along.rotation, along.rate, along.speed, along.spin_up)
-        made = self._evaluated(rows, *(part[:n] for part in motion), (), hidden, values)
+        v, R, w = along.velocity[:n], along.rotation[:n], along.rate[:n]
+        made = self._evaluated(rows, v, R, w, along.speed[:n], along.spin_up[:n], (), hidden, values)
         return made[:, : SPEEDS + count + 1]
 
     def _ends(self, name: str, starts: Mapping[str, float]) -> tuple[float, float]:
@@ -206,7 +209,9 @@ class FlightModel:
             step = START_STEP * self.hidden.starts[name][1]
             return starts.get(name, 0.0) - step, starts.get(name, 0.0) + step
         key, own = name.rsplit(".", 1)
-        parameter = next(p for item in self.model.effects if item.key == key for p in item.effect.parameters if p.name == own)
+        parameter = next(
+            p for item in self.model.effects if item.key == key for p in item.effect.parameters if p.name == own
+        )
         value = float(self.model.parameter_values[self.model.parameter_index(name)])
         step = PARAMETER_STEP * (abs(value) or parameter.prior(self.model.vehicle).std)
         return max(parameter.lower, value - step), min(parameter.upper, value + step)

@@ -26,7 +26,8 @@ def loaded(values: dict[str, float], starts: dict[str, float]) -> tuple[Problem,
 
 
 @pytest.mark.parametrize(
-    ("name", "step"), [("mass", 1e-4), ("length", 1e-4), ("slung_load.line_x[0]", 1e-3), ("slung_load.swing_y[0]", 1e-3)]
+    ("name", "step"),
+    [("mass", 1e-4), ("length", 1e-4), ("slung_load.line_x[0]", 1e-3), ("slung_load.swing_y[0]", 1e-3)],
 )
 def test_columns_of_a_load_and_of_its_start_are_slopes_of_the_model(name, step):
     problem, number = loaded(LOAD, STARTS)
