@@ -72,7 +72,7 @@ def _forces(rows: FlightRows, along: Along) -> tuple[Floats, Floats]:
     """(N, 3) specific force of the model, and what of that which was read, or which the velocity shows, it leaves."""
     if "accelerometer" in rows.readings:
         return along.force, rows.force - along.force
-    slope = np.gradient(rows.velocity, rows.period, axis=0) + [0, 0, GRAVITY]
+    slope = np.gradient(rows.velocity, rows.period, axis=0) + np.array([0, 0, GRAVITY])
     return along.force, np.einsum("tji,tj->ti", along.rotation, slope) - along.force
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.likelihood.evidence import IMPOSSIBLE, Kind, Search
-from diagnosis.likelihood.identify import command_values, deviations
+from diagnosis.likelihood.identify import command_values, deviations, starts_of, value_step
 from diagnosis.likelihood.noise_fit import fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
 from dynamics.arrays import Floats
@@ -38,8 +38,10 @@ def fit_set(problems: Sequence[Problem], members: Sequence[int]) -> SetFit:
     """
     t, what = problems[0].thresholds, problems[0].what
     noises = [likeliest(one, structures_of(one.flights[0].segment)) for one in problems]
-    for number in range(t.settled_rounds + 2):
-        kinds = []
+    step, settled = 0.0, False
+    for number in range(t.rounds):
+        kinds, last = [], settled
+        settled = number >= t.settled_rounds and (step < t.near or number == t.rounds - 1)
         for place, problem in enumerate(problems):
             if number == t.settled_rounds:
                 noise = noises[place]
@@ -48,7 +50,7 @@ def fit_set(problems: Sequence[Problem], members: Sequence[int]) -> SetFit:
                 problem.relinearise(noises[place].gain)
             information = problem.information(noises[place].gain, noises[place].slopes)
             kinds.append(Kind(problem, information, noises[place].slopes))
-        search = Search(kinds, settled=number >= t.settled_rounds)
+        search = Search(kinds, settled=settled)
         scored = search.score(members)
         if scored.evidence == IMPOSSIBLE:
             names = ", ".join(what.all[i].key for i in members)
@@ -56,9 +58,12 @@ def fit_set(problems: Sequence[Problem], members: Sequence[int]) -> SetFit:
                 f"the values of {names} that fit these flights best are physically impossible. Leave one out, or fly "
                 "what shows them apart."
             )
-        values = search.named_values(scored)
-        for problem in problems:
-            problem.fitted = values | command_values(search, scored)
+        values, step = search.named_values(scored), value_step(search, scored)
+        fitted = values | command_values(search, scored)
+        for problem, kind in zip(problems, kinds, strict=True):
+            problem.move_to(fitted, starts_of(kind, search, scored))
+        if settled and last:
+            break
     places = search.places(scored)
     precision = search.coarse.M[np.ix_(places, places)] + np.diag(search.std[places] ** -2.0)
     own = np.sqrt(np.diag(np.linalg.inv(precision)))

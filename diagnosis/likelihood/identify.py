@@ -45,7 +45,7 @@ def identify(
         search = Search(kinds, settled=settled)
         best = search.best(members)
         values = search.named_values(best)
-        step = _step(search, best)
+        step = value_step(search, best)
         same = set(best.members) == set(members)
         members = best.members
         if (same and step < t.settled_step and settled) or number == t.rounds - 1:
@@ -106,7 +106,7 @@ def starts_of(kind: Kind, search: Search, best: Scored) -> dict[int, dict[str, f
     return made
 
 
-def _step(search: Search, best: Scored) -> float:
+def value_step(search: Search, best: Scored) -> float:
     """Largest change of a value since the last round, in its standard deviations."""
     places = search.places(best)
     if not places:

@@ -7,11 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diagnosis.likelihood.columns import candidates
+from diagnosis.likelihood.identify import deviations, identify
+from diagnosis.likelihood.named import named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.likelihood.rigid_body import FlightModel
+from dynamics.effect import Parameter, Prior
+from dynamics.effects import CATALOGUE
 from dynamics.vehicle import GRAVITY
-from tests.diagnosis.likelihood.flights import problem_of
+from tests.diagnosis.likelihood.flights import flown, problem_of
 
+TIME = Parameter("time", "s", "", 1e-9, 1.0, lambda _: Prior(0.1, 0.1), neutral=1e-6)
 LOAD = {"mass": 0.03, "length": 0.5}
 STARTS = {"slung_load.line_x[0]": 0.2, "slung_load.swing_y[0]": 0.7}
 
@@ -49,3 +55,40 @@ def test_columns_of_a_load_and_of_its_start_are_slopes_of_the_model(name, step):
     read = -(ends[0].difference - ends[1].difference) / (2 * step)
     np.testing.assert_allclose(B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
     np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
+
+
+def test_a_load_that_the_file_holds_has_free_starts_and_others_have_none():
+    problem, number = loaded(LOAD, {})
+    assert {n.of.split(".")[0] for n in problem.what.nuisances if n.kind == "start"} == {"slung_load"}
+    assert problem.what.all[number].free == ("mass", "length")
+    problem.move_to({}, {})
+    assert not [n for n in problem.what.nuisances if n.kind == "start"]
+    assert problem.what.all[number].free == ("mass",)
+
+
+def test_logs_too_slow_for_hidden_states_leave_the_effect_out():
+    """A swing whose time constant is a tenth of a millisecond."""
+    fast = dataclasses.replace(
+        CATALOGUE["slung_load"],
+        name="fast",
+        parameters=(*CATALOGUE["slung_load"].parameters, TIME),
+        time_constants=("time",),
+        derivative=lambda c, p, h, n: {name: -h[name] * h[name] / p["time"] for name in h},
+        grid=lambda vehicle, span: [{"length": 0.5, "time": 1e-6}],
+        refine=("length", "time"),
+    )
+    vehicle, dataset = flown("nothing", "speeds", 90002)
+    what = candidates(vehicle, {"fast": fast, "mass": CATALOGUE["mass"]}, dataset.fitted)
+    assert {c.effect.name for c in what.all} == {"mass"}
+
+
+def test_a_load_is_named_with_its_mass_and_length():
+    problem = problem_of("single", "slung_load", 99000)
+    mass, length = 0.0084031, 0.52363  # what the outside simulator hung below
+    result = identify([problem])
+    (load,) = named_effects(result)
+    assert load.candidate.effect.name == "slung_load"
+    values = result.search.named_values(result.best)[load.number]
+    off = np.array([values["mass"] - mass, values["length"] - length])
+    assert np.all(np.abs(off) < 4 * deviations(result.search, result.best))
+    assert abs(values["length"] - length) < 0.02 * length
