@@ -29,8 +29,9 @@ def beginning(
     catalogue: Mapping[str, Effect],
     rows: FlightRows,
     along: Along,
-) -> dict[str, float]:
-    """Offsets from hover of a candidate's hidden states at a flight's start, by name. uses: of the model beside it."""
+) -> tuple[dict[str, float], float]:
+    """Offsets from hover of a candidate's hidden states at a flight's start, by name, and the sum of squares of the
+    specific force that is left of all of the flight, (m/s^2)^2. uses: of the model beside it."""
     limits, usual = DEFAULT.prediction, candidate.effect.defaults(vehicle)
 
     def model_with(factor: float) -> FlightModel:
@@ -43,21 +44,22 @@ def beginning(
     model, count = model_with(1.0), max(1, round(limits.free_start_durations[-1] / rows.period))
     own = {name: std for name, (_, std) in model.hidden.starts.items() if name.rsplit(".", 1)[0] == candidate.key}
     if not own:
-        return {}
+        return {}, 0.0
     base, left = _forces(rows, along)
-    driving = model.driving(rows, along.reference)[:count]
+    driving = model.driving(rows, along.reference)
     names, std = list(own), np.array(list(own.values()))
 
-    def pushed(off: Floats) -> Floats:
+    def pushed(off: Floats, count: int = count) -> Floats:
         starts = dict(zip(names, off * std, strict=True))
-        path = model.hidden_path(rows, driving, starts)
-        return model.outputs(rows, along, path)[: len(path), OUTPUTS["force"]] - base[:count]
+        path = model.hidden_path(rows, driving[:count], starts)
+        return model.outputs(rows, along, path)[:, OUTPUTS["force"]] - base[:count]
 
-    off, left = np.zeros(len(names)), left[:count]
+    off, everything, left = np.zeros(len(names)), left, left[:count]
     if "rotor_speed" in rows.readings:
         push = pushed(off)
         model = model_with(float(np.clip(np.sum(push * left) / np.sum(push**2), *limits.free_start_strength)))
-    nuisances = _nuisances(along, base)[:count]
+    errors = _nuisances(along, base)
+    nuisances = errors[:count]
     for _ in range(limits.free_start_steps):
         here = pushed(off)
         step = limits.free_start_difference
@@ -65,7 +67,10 @@ def beginning(
         change = _posterior_step(np.concatenate([slopes, nuisances], axis=2), left - here, off)
         off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
         off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
-    return dict(zip(names, (off * std).tolist(), strict=True))
+    columns = np.concatenate([pushed(off, len(rows))[:, :, None], errors], axis=2).reshape(-1, 8)
+    y = everything.ravel()
+    rest = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0] if np.isfinite(columns).all() else y
+    return dict(zip(names, (off * std).tolist(), strict=True)), float(rest @ rest)
 
 
 def _forces(rows: FlightRows, along: Along) -> tuple[Floats, Floats]:

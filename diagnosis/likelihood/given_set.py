@@ -62,6 +62,7 @@ def fit_set(problems: Sequence[Problem], members: Sequence[int]) -> SetFit:
         fitted = values | command_values(search, scored)
         for problem, kind in zip(problems, kinds, strict=True):
             problem.move_to(fitted, starts_of(kind, search, scored))
+            fitted = problem.fitted
         if settled and last:
             break
     places = search.places(scored)

@@ -53,6 +53,7 @@ def identify(
         fitted = values | command_values(search, best)
         for place, problem in enumerate(problems):
             problem.move_to(fitted, starts_of(kinds[place], search, best))
+            fitted = problem.fitted
             if number == t.settled_rounds - 1:
                 noise = noises[place]
                 noises[place] = fit_noise(problem, noise.structure, values=noise.values, only=members)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant
 from diagnosis.likelihood.innovations import start
 from diagnosis.likelihood.rigid_body import Along, FlightModel, moved_reference
 from diagnosis.noise.component import hover
+from diagnosis.selection.candidates import Candidate
 from diagnosis.thresholds import DEFAULT, LikelihoodThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
@@ -21,6 +22,7 @@ from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 FEW = 4  # flights of which the mean slope is hover's
 TINY = 1e-9
+BETWEEN = 17  # points between the neighbours of a grid's point
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +60,21 @@ class Problem:
 
     def __post_init__(self) -> None:
         self._bare, self.what = self.what, about(self.what, self.vehicle, self.catalogue, self.fitted)
-        self._beginnings: dict[tuple[int, int], dict[str, float]] = {}
+        self._beginnings: dict[Hashable, tuple[dict[str, float], float]] = {}
 
     def move_to(self, fitted: dict[int, dict[str, float]], starts: dict[int, dict[str, float]]) -> None:
         """The model about which all is linear becomes that with these values of candidates, by number, and these
         starts of hidden states, by flight and name; those that are new begin as they did as candidates."""
-        self.fitted = fitted
-        self.starts = {
-            place: {n: v for i in fitted for n, v in self._beginnings.get((place, i), {}).items()}
-            | starts.get(place, {})
-            for place in range(len(self.flights))
-        }
-        self.what = about(self._bare, self.vehicle, self.catalogue, fitted)
+        fresh = [i for i in fitted if i not in self.fitted and has_states(self.what.all[i].effect)]
+        along = [self.along(place) for place in range(len(self.flights))] if fresh else []
+        nearest = {i: self._nearest(i, fitted[i], along) for i in fresh}
+        self.fitted = fitted | {i: {**one.at, **fitted[i]} for i, one in nearest.items()}
+        self.starts = {}
+        for place in range(len(self.flights)):
+            self.starts[place] = dict(starts.get(place, {}))
+            for candidate in nearest.values():
+                self.starts[place] |= self._begun(place, candidate, along[place])[0]
+        self.what = about(self._bare, self.vehicle, self.catalogue, self.fitted)
 
     @property
     def uses(self) -> list[EffectUse]:
@@ -118,10 +123,31 @@ class Problem:
 
     def _beginning(self, place: int, number: int, along: Along) -> dict[str, float]:
         """Where the hidden states of a candidate begin in a flight."""
-        if (place, number) not in self._beginnings:
-            model = self.what.all[number], self.uses, self.vehicle, self.catalogue
-            self._beginnings[place, number] = beginning(*model, self.flights[place], along)
-        return self._beginnings[place, number]
+        return self._begun(place, self.what.all[number], along)[0]
+
+    def _begun(self, place: int, candidate: Candidate, along: Along) -> tuple[dict[str, float], float]:
+        key = _key(place, candidate)
+        if key not in self._beginnings:
+            model = candidate, self.uses, self.vehicle, self.catalogue
+            self._beginnings[key] = beginning(*model, self.flights[place], along)
+        return self._beginnings[key]
+
+    def _nearest(self, number: int, fitted: Mapping[str, float], along: Sequence[Along]) -> Candidate:
+        """A candidate at the point between those of its grid that leaves least of the specific force, unless its
+        fitted values have one.
+
+        A swing's phase has several best lengths, of which the linear model knows the nearest.
+        """
+        candidate = self.what.all[number]
+        for name in candidate.effect.refine:
+            grid = [c.at[name] for c in self.what.all if c.identity == candidate.identity]
+            low = max((v for v in grid if v < candidate.at[name]), default=candidate.at[name])
+            high = min((v for v in grid if v > candidate.at[name]), default=candidate.at[name])
+            points = [fitted[name]] if name in fitted else np.linspace(low, high, BETWEEN).tolist()
+            near = [replace(candidate, at={**candidate.at, name: v}) for v in points]
+            left = [sum(self._begun(place, one, here)[1] for place, here in enumerate(along)) for one in near]
+            candidate = near[int(np.argmin(left))]
+        return candidate
 
     def information(self, gain: Gain, noise: NoiseSlopes, only: Sequence[int] | None = None) -> list[Information]:
         """Each flight's sums; the noise's hyperparameters are the last columns."""
@@ -152,6 +178,11 @@ class Problem:
             squares.append(nu @ nu)
             counted += len(part)
         return Information(rows.group, np.array(M), np.array(g), np.array(squares), counted * white.shape[1], counted)
+
+
+def _key(place: int, candidate: Candidate) -> Hashable:
+    """Of a candidate's beginning in a flight."""
+    return place, candidate.key, tuple(candidate.at.items())
 
 
 def _data(along: Along) -> tuple[Floats, Floats]:
