@@ -43,8 +43,6 @@ def beginning(
 
     model, count = model_with(1.0), max(1, round(limits.free_start_durations[-1] / rows.period))
     own = {name: std for name, (_, std) in model.hidden.starts.items() if name.rsplit(".", 1)[0] == candidate.key}
-    if not own:
-        return {}, 0.0
     base, left = _forces(rows, along)
     driving = model.driving(rows, along.reference)
     names, std = list(own), np.array(list(own.values()))
@@ -60,7 +58,7 @@ def beginning(
         model = model_with(float(np.clip(np.sum(push * left) / np.sum(push**2), *limits.free_start_strength)))
     errors = _nuisances(along, base)
     nuisances = errors[:count]
-    for _ in range(limits.free_start_steps):
+    for _ in range(limits.free_start_steps if own else 0):
         here = pushed(off)
         step = limits.free_start_difference
         slopes = np.stack([(pushed(off + row) - here) / step for row in step * np.eye(len(off))], axis=2)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from diagnosis.likelihood.columns import candidates
+from diagnosis.likelihood.flight_rows import make_rows
 from diagnosis.likelihood.identify import deviations, identify
 from diagnosis.likelihood.named import named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.likelihood.rigid_body import FlightModel
 from dynamics.effect import Parameter, Prior
 from dynamics.effects import CATALOGUE
-from dynamics.vehicle import GRAVITY
+from dynamics.vehicle import GRAVITY, EffectUse
 from tests.diagnosis.likelihood.flights import flown, problem_of
+from tests.support.own_effects import given_catalogue
 
+EXAMPLE = Path(__file__).parents[3] / "examples" / "my_effects.py"
 TIME = Parameter("time", "s", "", 1e-9, 1.0, lambda _: Prior(0.1, 0.1), neutral=1e-6)
 LOAD = {"mass": 0.03, "length": 0.5}
 STARTS = {"slung_load.line_x[0]": 0.2, "slung_load.swing_y[0]": 0.7}
@@ -27,6 +31,7 @@ def loaded(values: dict[str, float], starts: dict[str, float]) -> tuple[Problem,
     problem = problem_of("nothing", "speeds", 90002, 1)
     number = next(i for i, c in enumerate(problem.what.all) if c.effect.name == "slung_load")
     problem = dataclasses.replace(problem)
+    problem.move_to({number: values}, {})  # begins where its own fit says, then where it is put
     problem.move_to({number: values}, {0: starts})
     return problem, number
 
@@ -80,6 +85,26 @@ def test_logs_too_slow_for_hidden_states_leave_the_effect_out():
     vehicle, dataset = flown("nothing", "speeds", 90002)
     what = candidates(vehicle, {"fast": fast, "mass": CATALOGUE["mass"]}, dataset.fitted)
     assert {c.effect.name for c in what.all} == {"mass"}
+
+
+def test_a_users_wake_begins_between_the_points_of_its_grid():
+    """The example's late drag: without a free start, with a grid of its time constant."""
+    vehicle, dataset = flown("nothing", "speeds", 90002)
+    catalogue = given_catalogue([EXAMPLE], vehicle)
+    rows = [make_rows(dataset.fitted[0], 0)]
+    what = candidates(vehicle, catalogue, dataset.fitted)
+    problem = Problem(vehicle, catalogue, rows, what)
+    number = next(i for i, c in enumerate(what.all) if c.effect.name == "late_drag" and c.at["tau"] == 0.2)
+    B, _ = problem.columns(0, problem.along(0), [number])
+    assert np.abs(B[:, :3, what.places(number)]).max() > 0
+    truth = EffectUse("late_drag", {"coefficient": 0.5, "tau": 0.15})
+    lift = np.array([0.0, 0.0, GRAVITY])
+    wake = FlightModel(vehicle, [*vehicle.effects, truth], catalogue).along(rows[0], problem.reference(0), lift)
+    rows[0] = dataclasses.replace(rows[0], force=wake.force)
+    problem = Problem(vehicle, catalogue, rows, what)
+    problem.move_to({number: {"coefficient": 0.4}}, {})
+    assert problem.what.all[number].free == ("coefficient", "tau")
+    assert abs(problem.what.all[number].at["tau"] - 0.15) < 0.02
 
 
 def test_a_load_is_named_with_its_mass_and_length():
