@@ -29,9 +29,12 @@ def beginning(
     catalogue: Mapping[str, Effect],
     rows: FlightRows,
     along: Along,
+    *,
+    whole: bool = False,
 ) -> tuple[dict[str, float], float]:
     """Offsets from hover of a candidate's hidden states at a flight's start, by name, and the sum of squares of the
-    specific force that is left of all of the flight, (m/s^2)^2. uses: of the model beside it."""
+    specific force that is left of all of the flight, (m/s^2)^2. uses: of the model beside it.
+    whole: whether all of the flight shows them, and not its first seconds alone."""
     limits, usual = DEFAULT.prediction, candidate.effect.defaults(vehicle)
 
     def model_with(factor: float) -> FlightModel:
@@ -52,21 +55,21 @@ def beginning(
         path = model.hidden_path(rows, driving[:count], starts)
         return model.outputs(rows, along, path)[:, OUTPUTS["force"]] - base[:count]
 
-    off, everything, left = np.zeros(len(names)), left, left[:count]
+    off, errors = np.zeros(len(names)), _nuisances(along, base)
     if "rotor_speed" in rows.readings:
         push = pushed(off)
-        model = model_with(float(np.clip(np.sum(push * left) / np.sum(push**2), *limits.free_start_strength)))
-    errors = _nuisances(along, base)
-    nuisances = errors[:count]
-    for _ in range(limits.free_start_steps if own else 0):
-        here = pushed(off)
-        step = limits.free_start_difference
-        slopes = np.stack([(pushed(off + row) - here) / step for row in step * np.eye(len(off))], axis=2)
-        change = _posterior_step(np.concatenate([slopes, nuisances], axis=2), left - here, off)
-        off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
-        off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
+        factor = np.sum(push * left[:count]) / np.sum(push**2)
+        model = model_with(float(np.clip(factor, *limits.free_start_strength)))
+    for n in ([count, len(rows)] if whole else [count]) * bool(own):
+        for _ in range(limits.free_start_steps):
+            here = pushed(off, n)
+            step = limits.free_start_difference
+            slopes = np.stack([(pushed(off + row, n) - here) / step for row in step * np.eye(len(off))], axis=2)
+            change = _posterior_step(np.concatenate([slopes, errors[:n]], axis=2), left[:n] - here, off)
+            off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
+            off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
     columns = np.concatenate([pushed(off, len(rows))[:, :, None], errors], axis=2).reshape(-1, 8)
-    y = everything.ravel()
+    y = left.ravel()
     rest = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0] if np.isfinite(columns).all() else y
     return dict(zip(names, (off * std).tolist(), strict=True)), float(rest @ rest)
 

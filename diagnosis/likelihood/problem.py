@@ -73,7 +73,7 @@ class Problem:
         for place in range(len(self.flights)):
             self.starts[place] = dict(starts.get(place, {}))
             for candidate in nearest.values():
-                self.starts[place] |= self._begun(place, candidate, along[place])[0]
+                self.starts[place] |= self._begun(place, candidate, along[place], whole=True)[0]
         self.what = about(self._bare, self.vehicle, self.catalogue, self.fitted)
 
     @property
@@ -125,11 +125,13 @@ class Problem:
         """Where the hidden states of a candidate begin in a flight."""
         return self._begun(place, self.what.all[number], along)[0]
 
-    def _begun(self, place: int, candidate: Candidate, along: Along) -> tuple[dict[str, float], float]:
-        key = _key(place, candidate)
+    def _begun(
+        self, place: int, candidate: Candidate, along: Along, *, whole: bool = False
+    ) -> tuple[dict[str, float], float]:
+        key = _key(place, candidate), whole
         if key not in self._beginnings:
             model = candidate, self.uses, self.vehicle, self.catalogue
-            self._beginnings[key] = beginning(*model, self.flights[place], along)
+            self._beginnings[key] = beginning(*model, self.flights[place], along, whole=whole)
         return self._beginnings[key]
 
     def _nearest(self, number: int, fitted: Mapping[str, float], along: Sequence[Along]) -> Candidate:
@@ -145,7 +147,9 @@ class Problem:
             high = min((v for v in grid if v > candidate.at[name]), default=candidate.at[name])
             points = [fitted[name]] if name in fitted else np.linspace(low, high, BETWEEN).tolist()
             near = [replace(candidate, at={**candidate.at, name: v}) for v in points]
-            left = [sum(self._begun(place, one, here)[1] for place, here in enumerate(along)) for one in near]
+            left = [
+                sum(self._begun(place, one, here, whole=True)[1] for place, here in enumerate(along)) for one in near
+            ]
             candidate = near[int(np.argmin(left))]
         return candidate
 
