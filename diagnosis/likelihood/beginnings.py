@@ -30,11 +30,11 @@ def beginning(
     rows: FlightRows,
     along: Along,
     *,
-    whole: bool = False,
+    all_of_it: bool = False,
 ) -> tuple[dict[str, float], float]:
     """Offsets from hover of a candidate's hidden states at a flight's start, by name, and the sum of squares of the
     specific force that is left of all of the flight, (m/s^2)^2. uses: of the model beside it.
-    whole: whether all of the flight shows them, and not its first seconds alone."""
+    all_of_it: whether all of the flight shows them, and not its first seconds alone."""
     limits, usual = DEFAULT.prediction, candidate.effect.defaults(vehicle)
 
     def model_with(factor: float) -> FlightModel:
@@ -60,7 +60,7 @@ def beginning(
         push = pushed(off)
         factor = np.sum(push * left[:count]) / np.sum(push**2)
         model = model_with(float(np.clip(factor, *limits.free_start_strength)))
-    for n in ([count, len(rows)] if whole else [count]) * bool(own):
+    for n in ([count, len(rows)] if all_of_it else [count]) * bool(own):
         for _ in range(limits.free_start_steps):
             here = pushed(off, n)
             step = limits.free_start_difference

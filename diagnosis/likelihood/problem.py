@@ -73,7 +73,7 @@ class Problem:
         for place in range(len(self.flights)):
             self.starts[place] = dict(starts.get(place, {}))
             for candidate in nearest.values():
-                self.starts[place] |= self._begun(place, candidate, along[place], whole=True)[0]
+                self.starts[place] |= self._begun(place, candidate, along[place], all_of_it=True)[0]
         self.what = about(self._bare, self.vehicle, self.catalogue, self.fitted)
 
     @property
@@ -126,12 +126,12 @@ class Problem:
         return self._begun(place, self.what.all[number], along)[0]
 
     def _begun(
-        self, place: int, candidate: Candidate, along: Along, *, whole: bool = False
+        self, place: int, candidate: Candidate, along: Along, *, all_of_it: bool = False
     ) -> tuple[dict[str, float], float]:
-        key = _key(place, candidate), whole
+        key = _key(place, candidate), all_of_it
         if key not in self._beginnings:
             model = candidate, self.uses, self.vehicle, self.catalogue
-            self._beginnings[key] = beginning(*model, self.flights[place], along, whole=whole)
+            self._beginnings[key] = beginning(*model, self.flights[place], along, all_of_it=all_of_it)
         return self._beginnings[key]
 
     def _nearest(self, number: int, fitted: Mapping[str, float], along: Sequence[Along]) -> Candidate:
@@ -148,7 +148,8 @@ class Problem:
             points = [fitted[name]] if name in fitted else np.linspace(low, high, BETWEEN).tolist()
             near = [replace(candidate, at={**candidate.at, name: v}) for v in points]
             left = [
-                sum(self._begun(place, one, here, whole=True)[1] for place, here in enumerate(along)) for one in near
+                sum(self._begun(place, one, here, all_of_it=True)[1] for place, here in enumerate(along))
+                for one in near
             ]
             candidate = near[int(np.argmin(left))]
         return candidate
