@@ -370,23 +370,11 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
         ),
     },
     "estimation": {
-        "coverage": Measurement(
-            "benchmarks.estimation.coverage:coverage",
-            ("interval_coverage",),
-            DIAGNOSIS,
-            ("--count", "1", "--cases", "1", *NOT_KEPT),
-        ),
         "identification_flight": Measurement(
             "benchmarks.estimation.identification_flight:identification_flight",
             ("identification_flight",),
             ("dynamics/references", *DIAGNOSIS),
             ("--flights", "1", "--cases", "1", *NOT_KEPT),
-        ),
-        "likelihood": Measurement(
-            "benchmarks.estimation.likelihood:likelihood",
-            ("likelihood",),
-            ("diagnosis/likelihood", "diagnosis/noise"),
-            ("--sets", "captured", "--limit", "1", "--jobs", "1", *NOT_KEPT),
         ),
         "output_error": Measurement(
             "benchmarks.estimation.output_error:output_error",
@@ -407,12 +395,6 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("threshold_margins",),
             DIAGNOSIS,
             ("--cases", "1", "--budget", "0", *NOT_KEPT),
-        ),
-        "sensitivity": Measurement(
-            "benchmarks.thresholds:sensitivity",
-            ("threshold_sensitivity",),
-            ("diagnosis/estimation", "diagnosis/thresholds", "diagnosis/selection"),
-            ("--cases", "6", *NOT_KEPT),
         ),
     },
     "last_setpoint": {

@@ -10,13 +10,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from diagnosis.estimation.acceptance import (
-    Accepted,
     deviations_from_neutral,
-    judged_fit,
     refused_of,
     with_faults_of,
     with_nuisances_of,
@@ -28,7 +27,7 @@ from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
-from diagnosis.estimation.revision import without
+from diagnosis.likelihood.evidence import IMPOSSIBLE
 from diagnosis.models.channels import channel_name
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
@@ -36,7 +35,6 @@ from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sente
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds, Thresholds
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
@@ -108,16 +106,14 @@ def add_effect(
     if name is None:
         result = diagnosed or diagnose_dataset(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.5))
         notes = notes_of_set(result.diagnosis, catalogue)
-        regression, accepted = result.regression, result.accepted
+        answer = result.likelihood
     else:
         progress(0.1, "signals of the catalogue's effects")
-        regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-        candidate = _best_candidate(regression, name, rotor)
-        accepted = judged_fit(regression, [candidate], dataset, vehicle, resampled=False)
-        if candidate.key not in accepted.fit.keys:
-            raise DataError(f"{candidate.key} was not added: {reason_of(accepted.refused[-1])}. {ADVICE}")
+        first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+        answer = _likely(name, rotor, first, dataset, part_of(progress, 0.1, 0.5))
+    regression = answer.regression
     judge = HeldOut(regression, dataset.held_out)
-    accepted = _borne_out(accepted, regression, dataset, judge)
+    accepted = _borne_out(answer, dataset, judge).accepted
     progress(0.5, "output error, over simulated half seconds")
     present = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
     fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
@@ -164,22 +160,54 @@ def _better_fit(
     return (fitted, False) if grown or holds_nothing or worse else (again.fit, True)
 
 
-def _borne_out(accepted: Accepted, regression: Regression, dataset: Dataset, judge: HeldOut) -> Accepted:
-    """The effects with each of which the open loop is better by more than chance, and faults of sensors.
+def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, progress: Progress) -> LikelihoodAnswer:
+    """The answer with one effect, on the rotor where it is likeliest. Raises DataError where it is not likely."""
+    able = {c.identity for c in first.candidates if c.effect.name == name and rotor in (None, c.rotor)}
+    if not able:
+        raise DataError(
+            f"these flights cannot show {name}"
+            + (f" on rotor {rotor}" if rotor is not None else "")
+            + ": with measured rotor speeds there is no motor lag, with commands alone no thrust "
+            "constant, without voltage no sag. `alula diagnose` lists what they can show."
+        )
+    answer = answer_by_likelihood(first, dataset, progress, one_of=able)
+    if answer.named:
+        return answer
+    search = answer.search
+    odds = max(search.score([i]).evidence for i, c in enumerate(search.what.all) if c.identity in able)
+    if odds == IMPOSSIBLE:
+        raise DataError(
+            f"{name} was not added: the values that fit these flights best lie outside its physical bounds. "
+            "`alula diagnose` shows what is missing, if anything."
+        )
+    if odds >= search.problem.thresholds.named:
+        raise DataError(
+            f"{name} was not added: its best value is below what these flights can tell from none. {ADVICE}"
+        )
+    raise DataError(
+        f"{name} was not added: these flights make it {np.exp(odds):.2g} times as likely as not, and "
+        f"{np.exp(search.problem.thresholds.named):.0f} times are required. {ADVICE}"
+    )
+
+
+def _borne_out(answer: LikelihoodAnswer, dataset: Dataset, judge: HeldOut) -> LikelihoodAnswer:
+    """The answer with effects with each of which the open loop is better by more than chance, and faults of sensors.
 
     The weakest of the others is left out, until none is left. Raises DataError where nothing remains.
     """
-    required = regression.thresholds.relevance.deviations
-    lacking = fit(regression, ()).vehicle
-    named = accepted.fit.candidates
-    while idle := _idle(accepted.fit, lacking, judge, required):
+    required = answer.regression.thresholds.relevance.deviations
+    lacking = fit(answer.regression, ()).vehicle
+    named = answer.accepted.fit.candidates
+    while idle := _idle(answer.accepted.fit, lacking, judge, required):
         weakest = min(idle, key=lambda candidate: idle[candidate])
-        refused = refused_of(accepted.fit, weakest, "open_loop_alike", deviations=idle[weakest], required=required)
-        accepted = without(regression, accepted, [refused], dataset)
-    if named and not accepted.fit.candidates:
-        reasons = "; ".join(refusal_sentence(one) for one in accepted.refused if one.reason == "open_loop_alike")
-        raise DataError(f"nothing was added: {reasons or reason_of(accepted.refused[-1])}. {ADVICE}")
-    return accepted
+        fitted = answer.accepted.fit
+        refused = refused_of(fitted, weakest, "open_loop_alike", deviations=idle[weakest], required=required)
+        answer = answer.without([refused], dataset)
+    if named and not answer.accepted.fit.candidates:
+        why = answer.accepted.refused
+        reasons = "; ".join(refusal_sentence(one) for one in why if one.reason == "open_loop_alike")
+        raise DataError(f"nothing was added: {reasons or reason_of(why[-1])}. {ADVICE}")
+    return answer
 
 
 def _idle(fitted: Fit, lacking: Vehicle, judge: HeldOut, required: float) -> dict[Candidate, float]:
@@ -379,22 +407,3 @@ def text_after(
         return edited_toml(text, vehicle, folder=folder, catalogue=catalogue)
     except (RequestError, UnicodeDecodeError):  # another file has its place by now
         return vehicle_toml(vehicle)
-
-
-def _best_candidate(regression: Regression, name: str, rotor: int | None) -> Candidate:
-    search = Search(regression)
-    candidates = [c for c in regression.candidates if c.effect.name == name and rotor in (None, c.rotor)]
-    if not candidates:
-        raise DataError(
-            f"these flights cannot show {name}"
-            + (f" on rotor {rotor}" if rotor is not None else "")
-            + ": with measured rotor speeds there is no motor lag, with commands alone no thrust "
-            "constant, without voltage no sag. `alula diagnose` lists what they can show."
-        )
-    best = max((search.score([c]) for c in candidates), key=lambda s: s.score)
-    if best.score == IMPOSSIBLE:
-        raise DataError(
-            f"{name} was not added: the values that fit these flights best lie outside its physical bounds. "
-            "`alula diagnose` shows what is missing, if anything."
-        )
-    return best.candidates[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,37 +13,39 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out, with_candidates
 from diagnosis.estimation.held_out import HeldOut
-from diagnosis.estimation.pursuit import about
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.columns import candidates
 from diagnosis.likelihood.evidence import Search
 from diagnosis.likelihood.flight_rows import FlightRows, make_rows
 from diagnosis.likelihood.identify import command_values, deviations, identify
-from diagnosis.likelihood.named import Named, named_effects
+from diagnosis.likelihood.named import Doubted, Named, named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
 from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import gust_beside
+from diagnosis.selection.gust import AirMotion, air_beside, gust_beside, gust_variance
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.search import Search as RegressionSearch
-from diagnosis.selection.selected import Selection, gust_variance, with_gust_by
+from diagnosis.selection.regression_of_flights import about_fit
 from diagnosis.verdict import parameters_of
 from dynamics.arrays import Floats
+from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
+
+NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look at them with `alula inspect`."
+Identity = tuple[str, int | None]  # an effect's name and its rotor
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodAnswer:
     """The named effects by the likelihood, and what the tests of their residuals need.
 
-    search: about the best set. regression: about the named effects. selection: of them, with the gust beside them.
+    search: about the best set. regression: about the named effects. air: beside them.
     """
 
     search: Search
     named: tuple[Named, ...]
     regression: Regression
-    selection: Selection
+    air: AirMotion
     accepted: Accepted
 
     def missing(self) -> tuple[MissingEffect, ...]:
@@ -71,23 +73,74 @@ class LikelihoodAnswer:
         out = {(one.name, one.rotor) for one in refused}
         rest = tuple(one for one in self.named if one.candidate.identity not in out)
         accepted = _accepted(self.search, self.regression, rest, dataset, (*self.accepted.refused, *refused))
-        return LikelihoodAnswer(self.search, rest, self.regression, self.selection, accepted)
+        return LikelihoodAnswer(self.search, rest, self.regression, self.air, accepted)
 
 
-def answer_by_likelihood(first: Regression, dataset: Dataset, progress: Progress = no_progress) -> LikelihoodAnswer:
-    """Which effects are missing. first: the regression about the vehicle's own model, with which they are tested."""
-    result = identify(likelihood_problems(dataset, first), progress=progress)
+def answer_by_likelihood(
+    first: Regression, dataset: Dataset, progress: Progress = no_progress, one_of: Collection[Identity] | None = None
+) -> LikelihoodAnswer:
+    """Which effects are missing.
+
+    first: the regression about the vehicle's own model, with which they are tested. one_of: effects, each on a rotor
+    or none, of which one may be missing; by default all of the catalogue may.
+    Raises DataError where no stationary filter has such readings.
+    """
+    problems = likelihood_problems(dataset, first)
+    every = problems[0].what.all
+    some = None if one_of is None else [i for i, c in enumerate(every) if c.identity in one_of]
+    try:
+        result = identify(problems, progress=progress, one_of=some)
+    except np.linalg.LinAlgError as error:
+        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
     search, testable = result.search, {c.identity for c in first.candidates}
-    named = tuple(one for one in named_effects(result) if one.candidate.identity in testable)
+    sure, doubted = named_effects(result)
+    named = tuple(one for one in sure if one.candidate.identity in testable)
+    refused = tuple(_refused(one, search.problem.thresholds.named) for one in doubted)
     fitted = likelihood_fit(search, first, named)
-    regression = (about(first, first.candidates, first.nuisances, fitted) if named else None) or first
+    regression = (about(first, fitted) if named else None) or first
     own = _in_regression(regression, named, fitted)
-    air = gust_variance(regression, own)
-    regression = regression.in_gust(air)
-    before, singles = gust_beside(first, []), RegressionSearch(first).singles()
-    chosen = RegressionSearch(regression).score(own)
-    selection = with_gust_by(regression, Selection(chosen, singles, before, before, False, air), own)
-    return LikelihoodAnswer(search, named, regression, selection, _accepted(search, regression, named, dataset, ()))
+    regression = regression.in_gust(gust_variance(regression, own))
+    air = air_beside(regression, gust_beside(first, []), own)
+    return LikelihoodAnswer(search, named, regression, air, _accepted(search, regression, named, dataset, refused))
+
+
+def _refused(one: Doubted, log_odds: float) -> Refused:
+    """Why an effect of the best set is not named. log_odds: that are required."""
+    required, effect = float(np.exp(log_odds)), one.candidate.effect
+    if one.odds < required:
+        detail = {"odds": one.odds, "required": required}
+        return Refused(effect.name, one.candidate.rotor, "unsure", detail, "", one.values)
+    detail = {"size": one.size, "required": effect.min_detectable}
+    return Refused(effect.name, one.candidate.rotor, "too_small", detail, "", one.values)
+
+
+def air_about(first: Regression, answer: LikelihoodAnswer) -> tuple[Regression, AirMotion]:
+    """The air beside an answer's effects, and the regression by which it is judged.
+
+    A gust that is detected is judged again by rows and columns about their fit: about another one, as that of a vehicle
+    in still air, they leave what is not linear in a steady wind, which looks like a gust. first: before any effect.
+    """
+    regression, fitted = answer.regression, answer.accepted.fit
+    air = air_beside(regression, answer.air.before, fitted.candidates)
+    if not air.detected or not fitted.candidates:
+        return regression, air
+    again = about(first, fitted)
+    return (regression, air) if again is None else (again, air_beside(again, air.before, fitted.candidates))
+
+
+def about(regression: Regression, fitted: Fit) -> Regression | None:
+    """The regression about a fit, None where that cannot be followed. regression: about the vehicle's own model."""
+    held = _about_values(regression.candidates, fitted.candidates, fitted)
+    return about_fit(regression, held, _about_values(regression.nuisances, regression.nuisances, fitted))
+
+
+def _about_values(own: Sequence[Candidate], chosen: Sequence[Candidate], fitted: Fit) -> tuple[Candidate, ...]:
+    """Candidates, those that were fitted about their values. own: about the vehicle's own model."""
+    places = {c.columns for c in chosen}
+    return tuple(
+        c.about({n: v for (key, n), v in fitted.values.items() if key == c.key}) if c.columns in places else c
+        for c in own
+    )
 
 
 def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Problem]:

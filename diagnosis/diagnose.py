@@ -9,12 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_by_likelihood
+from diagnosis.by_likelihood import LikelihoodAnswer, air_about, answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.acceptance import Accepted
-from diagnosis.estimation.accepted_set import accepted_fit
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
@@ -26,37 +25,27 @@ from diagnosis.estimation.evaluation import (
     typical_chi_square,
 )
 from diagnosis.estimation.fitted import Fit
-from diagnosis.estimation.joint_search import search_jointly, with_gust_about
 from diagnosis.estimation.paired_errors import differences
-from diagnosis.estimation.refusal import Refused, delay_in_words
-from diagnosis.estimation.revision import (
-    drifting_effects,
-    effects_of_late_signal,
-    overshadowed_effects,
-    with_small,
-    without,
-)
+from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.revision import drifting_effects
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.models.pose_errors import with_velocity_errors
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import CommandGain, Diagnosis, Method, MissingEffect, ParameterValue
-from diagnosis.selection.gust import turbulence_of
+from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
+from diagnosis.selection.gust import AirMotion, turbulence_of
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import PerturbedResiduals, Rejection, ResidualTests, run_residual_tests
-from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
-from diagnosis.tried import Tried, tried_alone, tried_by_likelihood
+from diagnosis.tried import Tried, not_excited, tried_by_likelihood
 from diagnosis.verdict import (
     above_floor,
     channel_errors,
     considered,
     gust_refusal,
     judge,
-    missing_effects,
-    not_excited,
     rejections,
     with_gust,
 )
@@ -76,21 +65,21 @@ class DiagnosisDetails:
 
     diagnosis: the answer.
     vehicle: with the missing effects at their fitted values.
-    regression, selection: of the fitted flights.
-    accepted: which of the selected effects are named, and why the others are not.
+    regression: of the fitted flights. air: in them, beside the effects.
+    accepted: the named effects, and what was taken back.
     residual_tests: of the identified model on the fitted flights.
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
     notes: what the user should know of the data.
     tried: every effect that the flights could show.
-    likelihood: the likelihood's answer, None where the regression's counts.
+    likelihood: the answer that all is about.
     followed: what the models of recorded flights followed that the diagnosis was compared with.
     """
 
     diagnosis: Diagnosis
     vehicle: Vehicle
     regression: Regression
-    selection: Selection
+    air: AirMotion
     accepted: Accepted
     residual_tests: ResidualTests
     before: list[Floats]
@@ -99,7 +88,7 @@ class DiagnosisDetails:
     chi_square_after: float
     notes: tuple[str, ...]
     tried: tuple[Tried, ...]
-    likelihood: LikelihoodAnswer | None = None
+    likelihood: LikelihoodAnswer
     followed: tuple[FollowedFlight, ...] = ()
 
 
@@ -109,29 +98,25 @@ def diagnose_dataset(
     catalogue: Mapping[str, Effect],
     thresholds: Thresholds = DEFAULT,
     progress: Progress = no_progress,
-    method: Method | None = None,
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
-    thresholds: all but those that are applied when flights are read. method: by which effects are searched, by default
-    the likelihood. Raises DataError when the flights cannot answer.
+    thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    ask = _by_regression if method == "regression" else _likeliest
-    answer = ask(first, dataset, part_of(progress, 0.35, 1.0))
-    regression, selection, accepted = answer.regression, answer.judged.selection, answer.accepted
-    judged, before, effects = answer.judged, answer.before, answer.effects
+    answer, judged, before, effects = _answered(first, dataset, part_of(progress, 0.35, 1.0))
+    regression, accepted = answer.regression, answer.accepted
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
     if gain is not None:
         effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.rejected))
-    quiet = not_excited(regression, selection.chosen)
+    named = [one.number for one in answer.named]
+    quiet, tried = not_excited(answer.search, named), tried_by_likelihood(answer.search, named)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
     left = leftover(judged.rejected, judged.tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
     refused = (*accepted.refused, *judged.refused)
-    tried = answer.tried
     diagnosis = Diagnosis(
         verdict=judge(effects, judged.rejected),
         effects=effects,
@@ -145,88 +130,44 @@ def diagnose_dataset(
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
         command_gain=gain,
-        method=answer.method,
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
         vehicle=without_command_effects(accepted.fit.vehicle),
         regression=regression,
-        selection=selection,
+        air=judged.air,
         accepted=accepted,
         residual_tests=judged.tests,
         before=before,
         after=judged.after,
         chi_square_before=reduced_chi_square(before, regression.noise),
         chi_square_after=reduced_chi_square(judged.after, regression.noise),
-        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression), *_late_signals(refused)),
+        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
         tried=tried,
-        likelihood=answer.likelihood,
+        likelihood=answer,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """The effects of one method, and what is left of the flights with them.
-
-    before: (m, 12) held-out residuals without. likelihood: None where the regression answers.
-    """
-
-    regression: Regression
-    accepted: Accepted
-    judged: _Judged
-    before: list[Floats]
-    effects: tuple[MissingEffect, ...]
-    method: Method
-    likelihood: LikelihoodAnswer | None = None
-
-    @property
-    def tried(self) -> tuple[Tried, ...]:
-        """Every effect that the flights could show."""
-        if self.likelihood is None:
-            return tried_alone(self.judged.selection.singles)
-        return tried_by_likelihood(self.likelihood.search, [one.number for one in self.likelihood.named])
-
-
-def _likeliest(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
-    """By the likelihood, or by the regression where no stationary filter has such readings."""
-    try:
-        return _by_likelihood(first, dataset, part_of(progress, 0.0, 0.7))
-    except np.linalg.LinAlgError:
-        return _by_regression(first, dataset, part_of(progress, 0.7, 1.0))
-
-
-def _by_likelihood(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
+def _answered(
+    first: Regression, dataset: Dataset, progress: Progress
+) -> tuple[LikelihoodAnswer, _Judged, list[Floats], tuple[MissingEffect, ...]]:
+    """The likelihood's answer, what is left of the flights with it, (m, 12) held-out residuals without, and the effects
+    with the gust beside them."""
     answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.8))
     regression = answer.regression
     before = residuals_in(first, fit(first, ()).vehicle, dataset.held_out)  # with biases by noise about no effects
-    judgement = _Judgement(first, regression, answer.selection, dataset, before)
+    judgement = _Judgement(first, answer, dataset, before)
     progress(0.8, "tests of what remains")
-    judged = judgement.of(answer.accepted)
-    while refuted := drifting_effects(regression, answer.accepted.fit, judged.fitted, rejected=False):
+    judged = judgement.of(answer)
+    while refuted := drifting_effects(regression, answer.accepted.fit, judged.fitted):
         answer = answer.without(refuted, dataset)
-        judged = judgement.of(answer.accepted)
-    effects = with_gust(answer.missing(), judged.selection) if judged.gusty else answer.missing()
-    return _Answer(regression, answer.accepted, judged, before, effects, "likelihood", answer)
-
-
-def _by_regression(first: Regression, dataset: Dataset, progress: Progress) -> _Answer:
-    progress(0.0, "search of the effects")
-    regression, selection = search_jointly(first)
-    progress(0.3, "joint fit and acceptance")
-    present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
-    before = residuals_in(regression, present, dataset.held_out)
-    accepted = accepted_fit(regression, selection, dataset)
-    progress(0.75, "tests of what remains")
-    accepted, judged = _Judgement(first, regression, selection, dataset, before).revised(accepted)
-    effects = missing_effects(regression, judged.selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
-    return _Answer(regression, accepted, judged, before, effects, "regression")
-
-
-def _standing_in(regression: Regression, accepted: Accepted, judged: _Judged) -> tuple[Refused, ...]:
-    """Effects whose form stands in for what is missing. judged: what the residuals of the fit say."""
-    rejected = bool(judged.rejected)
-    drifting = drifting_effects(regression, accepted.fit, judged.fitted, rejected=rejected)
-    return drifting or (overshadowed_effects(accepted, regression.thresholds.consistency) if rejected else ())
+        judged = judgement.of(answer)
+    effects = (
+        with_gust(answer.missing(), judged.air, sum(one.log_odds for one in answer.named))
+        if judged.gusty
+        else answer.missing()
+    )
+    return answer, judged, before, effects
 
 
 def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:
@@ -234,16 +175,6 @@ def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:
     loads = [c for c in accepted.fit.candidates if c.effect.hidden and c.effect.rotor_speed is None]
     relevance = [change for load in loads for change in accepted.relevance[load.key].values()]
     return any(change.share_of_left >= limits.min_swinging for change in relevance)
-
-
-def _late_signals(refused: Sequence[Refused]) -> list[str]:
-    """A note on each signal whose delay explains as much as an effect that was refused for it."""
-    late = {one.where: one.detail["delay"] for one in refused if one.reason == "late_signal"}
-    return [
-        f"the log's {signal} may be {delay_in_words(delay)} against its other signals: that explains what resembles "
-        f"{' and '.join(one.name for one in refused if one.reason == 'late_signal' and one.where == signal)}"
-        for signal, delay in late.items()
-    ]
 
 
 def _not_followed(regression: Regression) -> list[str]:
@@ -291,7 +222,9 @@ def _with_gain(
                 one_cause = MissingEffect(name, None, values, effect.confidence, alike)
                 return tuple(one_cause if one is effect else one for one in effects)
     share = _share_of_flights(gain, dataset, thresholds)
-    return effects if unknown else (*effects, MissingEffect(name, None, values, share, tuple(others)))
+    return (
+        effects if unknown else (*effects, MissingEffect(name, None, values, share, tuple(others), by_resamples=True))
+    )
 
 
 def _share_of_flights(gain: CommandGain, dataset: Dataset, thresholds: Thresholds) -> float:
@@ -316,12 +249,12 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
 class _Judged:
     """Outcome of the residual tests about an accepted fit.
 
-    selection: with the gust beside that fit.
+    air: beside that fit.
     after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.
     gusty: whether a gust is named. refused: a gust that is not.
     """
 
-    selection: Selection
+    air: AirMotion
     after: list[Floats]
     fitted: list[Floats]
     tests: ResidualTests
@@ -331,39 +264,32 @@ class _Judged:
 
 
 class _Judgement:
-    """The tests of the residuals of accepted fits.
+    """The tests of the residuals of an answer.
 
-    first: the regression before the search. before: (m, 12) held-out residuals without effects.
+    first: the regression about the vehicle's own model. before: (m, 12) held-out residuals without effects.
     """
 
-    def __init__(
-        self,
-        first: Regression,
-        regression: Regression,
-        selected: Selection,
-        dataset: Dataset,
-        before: list[Floats],
-    ) -> None:
-        self._first, self._regression, self._selected = first, regression, selected
+    def __init__(self, first: Regression, answer: LikelihoodAnswer, dataset: Dataset, before: list[Floats]) -> None:
+        self._first, self._regression = first, answer.regression
         self._dataset, self._before = dataset, before
 
-    def of(self, accepted: Accepted) -> _Judged:
-        """A gust and the tests that reject, of one fit."""
-        regression = self._regression
-        by_fit, selection = with_gust_about(regression, self._first, self._selected, accepted.fit)
+    def of(self, answer: LikelihoodAnswer) -> _Judged:
+        """A gust and the tests that reject, of an answer with some of the effects."""
+        regression, accepted = self._regression, answer.accepted
+        by_fit, air = air_about(self._first, answer)
         after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
         fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
         perturbed = self._perturbed_residuals(accepted, fitted)
-        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected, perturbed=perturbed)
+        tests = run_residual_tests(regression, fitted, by_position=air.detected, perturbed=perturbed)
         tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
-        refused = gust_refusal(by_fit, selection, tests, regression.thresholds.verdict)
-        gusty = selection.gust_detected and refused is None
-        if gusty and (gust := turbulence_of(selection.gust, by_fit)) is not None:
+        refused = gust_refusal(by_fit, air, tests, regression.thresholds.verdict)
+        gusty = air.detected and refused is None
+        if gusty and (gust := turbulence_of(air.gust, by_fit)) is not None:
             tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, perturbed=perturbed)
             floor = np.hypot(accepted.floor, gust)
             tests = with_typical_window(tests, after, floor, telling_channels(regression))
         rejected = self._rejected(accepted, tests, after, fitted, gusty=gusty)
-        return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
+        return _Judged(air, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
     def _perturbed_residuals(
         self, accepted: Accepted, fitted: list[Floats]
@@ -381,21 +307,6 @@ class _Judgement:
     def _perturbed(self) -> list[list[Segment]]:
         limits, random = self._regression.thresholds.pose, np.random.default_rng(SEED)
         return [with_velocity_errors(self._dataset.fitted, random, limits) for _ in range(limits.draws)]
-
-    def revised(self, accepted: Accepted) -> tuple[Accepted, _Judged]:
-        """The effects that the residuals leave, those that mattered after all among them, and what is said of these."""
-        regression, dataset, judged = self._regression, self._dataset, self.of(accepted)
-        while late := effects_of_late_signal(regression, accepted.fit, judged.fitted):
-            accepted = without(regression, accepted, late, dataset)
-            judged = self.of(accepted)
-        while standing_in := _standing_in(regression, accepted, judged):
-            accepted = without(regression, accepted, standing_in, dataset)
-            judged = self.of(accepted)
-        if judged.rejected and (more := with_small(regression, accepted, self._selected.chosen.candidates, dataset)):
-            with_more = self.of(more)
-            if not (with_more.rejected or _standing_in(regression, more, with_more)):
-                return more, with_more
-        return accepted, judged
 
     def _rejected(
         self, accepted: Accepted, tests: ResidualTests, after: list[Floats], fitted: list[Floats], *, gusty: bool

@@ -28,7 +28,7 @@ def next_flight(
     """
     advice = [_telling_apart([e.name, *e.ambiguous_with], catalogue) for e in effects if e.ambiguous_with]
     advice += dict.fromkeys(_about(one) for one in leftover)
-    advice += [f"to confirm {one.name}: {_manoeuvre(catalogue[one.name])}" for one in refused if one.is_open]
+    advice += [f"to confirm {one.name}: {_manoeuvre(catalogue[one.name])}" for one in refused if one.is_hint]
     if not advice and not_excited:
         advice.append(f"to see {not_excited[0]}: {_manoeuvre(catalogue[not_excited[0]])}")
     return ". ".join(advice[:MAX_ADVICE]) or NOTHING
@@ -45,7 +45,7 @@ def next_reference(
     Look-alikes and hints, else what was not excited; not what no manoeuvre shows.
     """
     names = [name for e in effects if e.ambiguous_with for name in (e.name, *e.ambiguous_with)]
-    names += [one.name for one in refused if one.is_open]
+    names += [one.name for one in refused if one.is_hint]
     plannable = [name for name in dict.fromkeys(names or not_excited) if _shows_in_a_manoeuvre(catalogue[name])]
     return f"{IDENTIFY}:for={'+'.join(plannable)}" if plannable else ""
 

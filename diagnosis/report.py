@@ -15,7 +15,6 @@ from diagnosis.regimes import Failure
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
 Outcome = Literal["named", "refused", "not_selected", "impossible"]
 InFlightOutcome = Literal["agrees", "differs", "not_estimated"]
-Method = Literal["likelihood", "regression"]
 MOSTLY = 0.995  # a probability that is not written as 100 %
 
 
@@ -32,9 +31,9 @@ class MissingEffect(msgspec.Struct, frozen=True):
 
     name, rotor: of the catalogue, and the rotor that it sits on, if any.
     parameters: fitted, or held with a standard deviation of 0.
-    confidence: by the regression, share of flight resamples that name it, or one of `ambiguous_with`; by the
-        likelihood, its probability beside the other effects.
+    confidence: probability that it, or one of `ambiguous_with`, is there beside the other effects.
     ambiguous_with: effects that these flights cannot tell from it.
+    by_resamples: whether the confidence is a share of flight resamples, as a gust's and that of a gain of commands.
     """
 
     name: str
@@ -42,6 +41,7 @@ class MissingEffect(msgspec.Struct, frozen=True):
     parameters: dict[str, ParameterValue]
     confidence: float
     ambiguous_with: tuple[str, ...]
+    by_resamples: bool = False
 
 
 class Considered(msgspec.Struct, frozen=True):
@@ -181,7 +181,6 @@ class Diagnosis(msgspec.Struct, frozen=True):
     rotors: each rotor's name with its place and the autopilots' numbers, for people.
     command_gain: None where rotor speeds were measured.
     in_flight: what the models of recorded flights followed, beside what is diagnosed; empty where none did.
-    method: by which the effects were searched.
     """
 
     verdict: Verdict
@@ -197,7 +196,6 @@ class Diagnosis(msgspec.Struct, frozen=True):
     next_reference: str = ""
     command_gain: CommandGain | None = None
     in_flight: tuple[FollowedEffect, ...] = ()
-    method: Method = "regression"
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -312,11 +310,12 @@ def _of_rotor(rotor: int | None, rotors: Sequence[str]) -> str:
 def _described(effect: MissingEffect, diagnosis: Diagnosis) -> str:
     where = _of_rotor(effect.rotor, diagnosis.rotors)
     values = ", ".join(_value_text(name, p.value, p.std, p.unit) for name, p in effect.parameters.items())
-    return f"{effect.name}{where} ({values}; {confidence_in_words(effect.confidence, diagnosis.method)})"
+    return f"{effect.name}{where} ({values}; {confidence_in_words(effect)})"
 
 
-def confidence_in_words(confidence: float, method: Method) -> str:
+def confidence_in_words(effect: MissingEffect) -> str:
     """Confidence in words, with its number."""
-    if method == "regression":
+    confidence = effect.confidence
+    if effect.by_resamples:
         return f"{100 * confidence:.0f} % of flight resamples agree"
     return "probability above 99 %" if confidence > MOSTLY else f"probability {100 * confidence:.0f} %"

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
-from diagnosis.estimation.sure_part import sure_part
 from diagnosis.models import channels
-from diagnosis.models.command_effects import seen_as
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import Gust, signal_of, turbulence_of
-from diagnosis.selection.regression import Regression, marginal
+from diagnosis.selection.gust import AirMotion, Gust, signal_of, turbulence_of
+from diagnosis.selection.regression import Regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
-from diagnosis.selection.rivals import alone, look_alikes, rivals_of
-from diagnosis.selection.search import Scored, Search
-from diagnosis.selection.selected import Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from diagnosis.tried import Tried
 from dynamics.arrays import Floats
-from dynamics.effect import Effect, Parameter
-from dynamics.vehicle import Vehicle
 
 
 def gust_refusal(
-    regression: Regression, selection: Selection, tests: ResidualTests, thresholds: VerdictThresholds = DEFAULT.verdict
+    regression: Regression, air: AirMotion, tests: ResidualTests, thresholds: VerdictThresholds = DEFAULT.verdict
 ) -> Refused | None:
     """Why a gust that was detected is not named, None where it is named or none was detected.
 
@@ -37,11 +29,11 @@ def gust_refusal(
     flights left out is no gust. Nor has it a line in its spectrum, as a load that swings. Nor is one named that would
     not raise the error of any axis by what matters.
     """
-    if not selection.gust_detected or selection.gust.effect is None:
+    if not air.detected or air.gust.effect is None:
         return None
-    if (small := _small_gust(regression, selection.gust)) is not None:
+    if (small := _small_gust(regression, air.gust)) is not None:
         return small
-    gained = max(selection.gust.gain / max(regression.total, 1), 1e-12)
+    gained = max(air.gust.gain / max(regression.total, 1), 1e-12)
     shares = {
         where: tests.statistics[test] / gained
         for test, where in (("predictable_from_state", "state"), ("position_dependent", "position"))
@@ -50,12 +42,12 @@ def gust_refusal(
     where, required = max(shares, key=lambda place: shares[place], default=""), thresholds.max_gust_predictable
     if not where or shares[where] <= required:
         where, required = "line", thresholds.max_line_in_gust
-        shares[where] = _share_of_line(regression, selection.gust, tests)
+        shares[where] = _share_of_line(regression, air.gust, tests)
     if shares[where] <= required:
         return None
-    strength = {selection.gust.effect.parameters[0].name: selection.gust.intensity}
+    strength = {air.gust.effect.parameters[0].name: air.gust.intensity}
     detail = {"share": shares[where], "required": required}
-    return Refused(selection.gust.effect.name, None, "predictable", detail, where, strength)
+    return Refused(air.gust.effect.name, None, "predictable", detail, where, strength)
 
 
 def _share_of_line(regression: Regression, gust: Gust, tests: ResidualTests) -> float:
@@ -86,93 +78,19 @@ def _small_gust(regression: Regression, gust: Gust) -> Refused | None:
     return Refused(gust.effect.name, None, "too_small", detail, channels.KINDS[axis // channels.AXES], strength)
 
 
-def missing_effects(
-    regression: Regression, selection: Selection, accepted: Accepted, *, gusty: bool, unknown: bool
-) -> tuple[MissingEffect, ...]:
-    """The accepted effects with their intervals, rivals and share of resamples.
-
-    gusty: whether a gust is named, too. unknown: whether a test of the residuals rejects; which of the forms with
-    nearly the same signal is there, these flights then do not tell, even where one fits better.
-    """
-    search, effects, taken = Search(regression), [], {c.effect.name for c in accepted.fit.candidates}
-    left_out = {(one.name, one.rotor) for one in accepted.refused}
-    for candidate in accepted.fit.candidates:
-        others = [c for c in accepted.fit.candidates if c is not candidate]
-        rivals = rivals_of(search, others, candidate)
-        alike = [s.candidates[-1] for s in look_alikes(search, others, rivals)]
-        near = [c.effect.name for c in alike if c.identity not in left_out or _takes_over(search, others, candidate, c)]
-        near += _narrowly_worse(regression, candidate, accepted.refused)
-        if regression.segments[0].rotor_source == "command":
-            near += seen_as([candidate.effect.name, *near], regression.catalogue)
-        is_open = unknown or sure_part(search, accepted.fit, candidate, regression.vehicle) is not None
-        effects.append(
-            MissingEffect(
-                name=candidate.effect.name,
-                rotor=candidate.rotor,
-                parameters=parameters_of(accepted.fit, candidate),
-                confidence=accepted.agreement[candidate.key],
-                ambiguous_with=tuple(
-                    dict.fromkeys([*near, *(_alike(search, others, candidate, taken) if is_open else ())])
-                ),
-            )
-        )
-    return with_gust(tuple(effects), selection) if gusty else tuple(effects)
-
-
-def with_gust(effects: tuple[MissingEffect, ...], selection: Selection) -> tuple[MissingEffect, ...]:
-    """The effects and the gust of a selection, first or second."""
-    gust, before = selection.gust, selection.gust_before
+def with_gust(effects: tuple[MissingEffect, ...], air: AirMotion, log_odds: float) -> tuple[MissingEffect, ...]:
+    """The effects and the gust beside them, first or second. log_odds: of the effects against none."""
+    gust = air.gust
     if gust.effect is None:
         return effects
     parameter = gust.effect.parameters[0]
     strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
-    first = not selection.chosen.candidates or before.score > selection.chosen.score
-    air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
-    place = 0 if first else min(1, len(effects))
-    return (*effects[:place], air, *effects[place:])
-
-
-def _takes_over(search: Search, others: Sequence[Candidate], candidate: Candidate, rival: Candidate) -> bool:
-    """Whether a rival explains what a candidate does: else it is a further effect, which explains more in any place."""
-
-    def gain(*more: Candidate) -> float:
-        return alone(search, [*others, *more]).gain
-
-    own, remaining = gain(candidate) - gain(), gain(rival, candidate) - gain(rival)
-    return remaining <= (1.0 - search.regression.thresholds.rivals.min_alike_share) * own
-
-
-def _narrowly_worse(regression: Regression, candidate: Candidate, refused: Sequence[Refused]) -> list[str]:
-    """Effects that were selected, gave way to a candidate that fits a little better, and are declared to look alike."""
-    min_ratio = regression.thresholds.rivals.min_narrow_ratio
-    return [
-        one.name
-        for one in refused
-        if one.reason == "worse_than_rival"
-        and one.detail["of_rival"] > min_ratio * one.detail["chi_square"]
-        and _declared_alike(candidate.effect, regression.catalogue[one.name])
-    ]
-
-
-def _declared_alike(one: Effect, other: Effect) -> bool:
-    """Whether the catalogue declares that two effects have nearly the same signal."""
-    return one.name in other.confounded_with or other.name in one.confounded_with
-
-
-def _alike(search: Search, others: Sequence[Candidate], candidate: Candidate, taken: Collection[str]) -> list[str]:
-    """Look-alikes of a candidate that the catalogue declares, but for effects that are taken.
-
-    Of an inertia about one axis a torque constant may have the signal, of another one it has nothing: those that
-    explain less than a share of it in its place are told apart.
-    Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
-    """
-    regression, base = search.regression, alone(search, others).gain
-    required = regression.thresholds.rivals.min_alike_share * (search.score([*others, candidate]).gain - base)
-    declared = {e.name: e for e in regression.catalogue.values() if _declared_alike(candidate.effect, e)}
-    tried = [c for c in regression.candidates if c.effect.name in declared]
-    able = {c.effect.name for c in tried if search.score([*others, c]).gain - base >= required}
-    untried = {e.name for e in declared.values() if e.acts_on == "rotor_clock"} - {c.effect.name for c in tried}
-    return [name for name in declared if name in able | untried and name not in taken]
+    place = 0 if air.before.score > 2 * log_odds else min(1, len(effects))
+    return (
+        *effects[:place],
+        MissingEffect(gust.effect.name, None, strength, gust.share, (), by_resamples=True),
+        *effects[place:],
+    )
 
 
 def parameters_of(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue]:
@@ -273,50 +191,6 @@ def considered(
         return Considered(name, one.candidate.rotor, one.score, outcome)
 
     return tuple(entry(one) for one in tried)
-
-
-def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
-    """Effects that would not have shown at their usual size: these flights neither confirm nor exclude them."""
-    search = Search(regression)
-    excited: dict[str, bool] = {}
-    gram = marginal(np.sum(regression.gram, axis=0), np.sum(regression.product, axis=0), regression.shared)[0]
-    for candidate in regression.candidates:
-        name = candidate.effect.name
-        specified = candidate.columns[0] in regression.biases.columns  # every flight has some of these
-        if name in chosen.names or excited.get(name) or specified or not _is_usual(candidate, regression):
-            continue
-        required = search.thresholds.min_gain + search.penalty(candidate)
-        excited[name] = _usual_gain(regression, gram, candidate, chosen.columns) > required
-    return tuple(name for name, is_excited in excited.items() if not is_excited)
-
-
-def _is_usual(candidate: Candidate, regression: Regression) -> bool:
-    """Whether a candidate is at the grid point of the effect's usual values, or no grid point is."""
-    usual = candidate.effect.defaults(regression.vehicle)
-
-    def matches(other: Candidate) -> bool:
-        return all(np.isclose(v, usual[n]) for n, v in other.at.items() if n not in other.free)
-
-    family = [c for c in regression.candidates if c.effect is candidate.effect and not c.fixed_shape]
-    return matches(candidate) or not any(map(matches, family))
-
-
-def _usual_gain(regression: Regression, gram: Floats, candidate: Candidate, chosen: Sequence[int]) -> float:
-    """Gain that the effect at its usual size would have beyond the chosen effects and the biases."""
-    own = list(candidate.columns)
-    rest = [i for i in chosen if i not in own]
-    across = gram[np.ix_(rest, own)]
-    inner = gram[np.ix_(rest, rest)]
-    beyond = gram[np.ix_(own, own)] - across.T @ np.linalg.lstsq(inner, across, rcond=None)[0]
-    parameters = {p.name: p for p in candidate.effect.parameters}
-    usual = [1.0] if candidate.fixed_shape else [_usual(parameters[n], regression.vehicle) for n in candidate.free]
-    return float(np.array(usual) @ beyond @ np.array(usual))
-
-
-def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
-    """The parameter's usual distance from where its effect vanishes."""
-    prior = parameter.prior(vehicle)
-    return prior.mean - parameter.neutral or prior.std
 
 
 def channel_errors(

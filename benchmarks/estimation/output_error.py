@@ -20,7 +20,6 @@ from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals
 from diagnosis.estimation.output_error import refit
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.rate_loop import ACTUATION_DELAY
@@ -72,9 +71,8 @@ def run(case: Case) -> dict[str, Any]:
     data = make_dataset(flights, vehicle)
     some = {name: CATALOGUE[name] for name in (use.name, *SENSORS)}
     regression = make_regression(vehicle, some, data.fitted, data.flight_of)
-    search = Search(regression)
     mine = [c for c in regression.candidates if c.effect.name == use.name and c.rotor == use.rotor]
-    first = fit(regression, [max(mine, key=lambda c: search.score([c]).score)])
+    first = min((fit(regression, [c]) for c in mine), key=lambda one: one.chi_square)
     second = refit(first, vehicle, some, data.fitted, data.held_out)
     assert second is not None
     one_step = [

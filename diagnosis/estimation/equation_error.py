@@ -17,12 +17,10 @@ from diagnosis.estimation.fit_equations import BlockRows, FitEquations, by_block
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, neutral_value, with_candidates
 from diagnosis.estimation.gauss_newton import Step, settle, settle_from_afar
 from diagnosis.estimation.linear_rows import LinearRows
-from diagnosis.estimation.significance import deviations_of
-from diagnosis.selection.candidates import Candidate, scales_rotors, shifts_rotors
+from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
-from diagnosis.thresholds import EquationErrorThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
@@ -67,12 +65,11 @@ def _fitted(
     base: Vehicle,
     start: Mapping[tuple[str, str], float] | None,
     *,
-    slower: float = 1.0,
     hopeless: float = np.inf,
     goal: float = np.inf,
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
-    problem = _EquationErrorProblem(regression, together, base, slower=slower)
+    problem = _EquationErrorProblem(regression, together, base)
     total = regression.total
     ended = settle_from_afar(problem, problem.start(start), hopeless=hopeless * total, goal=goal * total)
     chi_square = ended.last.cost / total
@@ -105,86 +102,15 @@ def _fitted(
     )
 
 
-def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
-    """A fit again by slower motion, where that moves an effect of the rotors' forces by more than chance.
-
-    The share of turbulence that feedback leaves in the motion falls with the square of the frequency: a value that
-    follows from it does, too. Chance is by the covariance of the change: the fit knows what the slower one knows
-    (Hausman, 1978). vehicle: that the effects were added to.
-    """
-    key = (
-        tuple(c.columns for c in fitted.candidates),
-        *map(key_of, (fitted.vehicle, vehicle)),
-        fitted.covariance.tobytes(),
-    )
-    return regression.workspace.get("beyond feedback", key, lambda: _slower_where_moved(regression, fitted, vehicle))
-
-
-def _slower_where_moved(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
-    limits = regression.thresholds.equation_error
-    # a few milliseconds are what turbulence makes of a lag; one that the file has not is more
-    scaling = [c for c in fitted.candidates if scales_rotors(c) or (shifts_rotors(c) and c.present is not None)]
-    if not scaling:
-        return fitted
-    change, covariance = _change_by_cutoff(regression, fitted, vehicle, 1 / limits.slower)
-    if any(_is_moved(fitted.of(candidate), change, covariance, limits) for candidate in scaling):
-        fitted = _fitted(regression, fitted.candidates, vehicle, fitted.values, slower=limits.slower)
-    return _as_unsure_as_moved(regression, fitted, vehicle, scaling)
-
-
-def _as_unsure_as_moved(regression: Regression, fitted: Fit, vehicle: Vehicle, scaling: Sequence[Candidate]) -> Fit:
-    """The fit whose effects of the rotors' forces are as uncertain as faster motion moves them, beyond chance.
-
-    Where the vehicle moves as it is told to, their value is the same at every cutoff. Where gentle flights under
-    turbulence hold little but its own motion, it follows the cutoff, and the intervals know nothing of it.
-    """
-    limits = regression.thresholds.equation_error
-    change, of_chance = _change_by_cutoff(regression, fitted, vehicle, limits.faster)
-    covariance = fitted.covariance.copy()
-    for places in map(fitted.of, scaling):
-        if _is_moved(places, change, of_chance, limits):
-            covariance[np.ix_(places, places)] += np.outer(change[places], change[places]) * limits.unsure**2
-    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    estimates = {
-        key: replace(estimate, std=deviation)
-        for (key, estimate), deviation in zip(fitted.estimates.items(), deviations, strict=False)
-    }
-    return replace(fitted, covariance=covariance, estimates=estimates)
-
-
-def _is_moved(places: Sequence[int], change: Floats, covariance: Floats, limits: EquationErrorThresholds) -> bool:
-    return deviations_of(change[places], covariance[np.ix_(places, places)]) > limits.max_moved
-
-
-def _change_by_cutoff(regression: Regression, fitted: Fit, vehicle: Vehicle, factor: float) -> tuple[Floats, Floats]:
-    """(k,) by what another cutoff of slow motion moves the estimates, and (k, k) covariance of that by chance.
-
-    factor: on the cutoff. The fit of the lower one knows nothing that the other does not.
-    """
-    together, values = (*fitted.candidates, *fitted.nuisances), fitted.values
-    problem = _EquationErrorProblem(regression, together, vehicle, slower=1 / factor)
-    step = problem.step(np.array([values[candidate.key, name] for candidate, name in problem.free]))
-    count = len(fitted.estimates)  # those of commands are behind them
-    lower, higher = fitted.covariance[:count, :count], step.covariance[:count, :count]
-    if factor < 1:
-        lower, higher = higher, lower
-    deviation = np.sqrt(np.maximum(np.diag(lower), 1e-300))
-    sizes, axes = np.linalg.eigh((lower - higher) / np.outer(deviation, deviation))
-    min_size = regression.thresholds.equation_error.min_more
-    return step.change[:count], (axes * np.maximum(sizes, min_size)) @ axes.T * np.outer(deviation, deviation)
-
-
 class _EquationErrorProblem:
     """The least-squares problem of some candidates on a regression's flights."""
 
-    def __init__(
-        self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle, *, slower: float = 1.0
-    ) -> None:
+    def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
         self._regression = regression
         self._noise = regression.noise
         self._candidates = candidates
         self.thresholds = regression.thresholds.equation_error
-        self._linear = LinearRows(regression, candidates, vehicle, slower=slower)
+        self._linear = LinearRows(regression, candidates, vehicle)
         self.free, self.names = self._linear.free, self._linear.names
         self.bounds = [bounds(c.effect, name) for c, name in self.free]
         self._information, self._expected = _priors(regression, self.free)

@@ -9,7 +9,6 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.command_effects import own_gains
-from diagnosis.models.pose_errors import pose_errors
 from diagnosis.models.prediction import Prediction
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor, sensor_floor
@@ -119,15 +118,6 @@ def residual_floor(regression: Regression, rows: Sequence[Floats]) -> Floats:
     return noise_floor(rows, regression.rate, regression.noise.active, thresholds, pose=regression.pose)
 
 
-def held_out_floor(regression: Regression, segments: Sequence[Segment], after: Sequence[Floats]) -> Floats:
-    """(12,) noise floor of held-out segments. after: (m, 12) residuals of the fitted model on them.
-
-    Turbulence of the rotors grows with their thrust, so that other flights have another floor. It is that of the
-    residuals after all columns of the catalogue, or of the fitted model where that is lower.
-    """
-    return np.minimum(saturated_floor(regression, segments), residual_floor(regression, after))
-
-
 def sensors_floor(regression: Regression, vehicle: Vehicle, segments: Sequence[Segment], floor: Floats) -> Floats:
     """(12,) the sensors' own noise in the residuals of segments under a vehicle's model, at most their floor (12,).
 
@@ -150,18 +140,6 @@ def _predictor(
 ) -> Predictor:
     measured = example.rotor_source == "measured"
     return Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction)
-
-
-def errs_as_assumed(regression: Regression, vehicle: Vehicle) -> bool:
-    """Whether the pose's errors enter a vehicle's residuals as they do in the noise, which another one made.
-
-    To a model with twice the drag an estimator's error of velocity is twice the force.
-    """
-    if not regression.pose.there:
-        return True
-    predictor = _predictor(vehicle, regression.catalogue, regression.segments[0], regression.thresholds)
-    errors = pose_errors(regression.segments, predictor, regression.thresholds.pose)
-    return errors.resembles(regression.pose)
 
 
 def floor_norms(floor: Floats) -> dict[str, float]:

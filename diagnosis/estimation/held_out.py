@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.data.workspace import Workspace, key_of
-from diagnosis.estimation.evaluation import explained_motion, residual_floor, residuals_in, saturated_floor
+from diagnosis.estimation.evaluation import residual_floor, residuals_in, saturated_floor
 from diagnosis.estimation.paired_errors import (
     ErrorChange,
     ModelErrors,
@@ -47,13 +47,6 @@ class HeldOut:
         return self._workspace.get(
             "rows", key_of(vehicle), lambda: residuals_in(self._regression, vehicle, self.segments)
         )
-
-    def shares_of_motion(self, without: Vehicle, vehicle: Vehicle) -> Floats:
-        """(12,) RMS by which both vehicles' predictions differ over that of the motion which the latter explains."""
-        rows = self.rows(vehicle)
-        change = np.vstack(differences(self.rows(without), rows))
-        motion = explained_motion(self.segments, rows)
-        return np.asarray(np.sqrt(np.mean(change**2, axis=0)) / np.maximum(motion, 1e-12))
 
     def floor(self, vehicle: Vehicle) -> Floats:
         """(12,) noise floor: of the residuals after all columns of the catalogue, or of the vehicle where lower."""

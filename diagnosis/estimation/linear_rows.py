@@ -51,10 +51,7 @@ class LinearRows:
     of_commands: whether rotor speeds follow from commands.
     """
 
-    def __init__(
-        self, regression: Fitted, candidates: Sequence[Candidate], vehicle: Vehicle, *, slower: float = 1.0
-    ) -> None:
-        """slower: by which the cutoff below which motion is slow, for instruments, is divided."""
+    def __init__(self, regression: Fitted, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
         self._regression, self._vehicle = regression, vehicle
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
@@ -66,7 +63,7 @@ class LinearRows:
         example = regression.segments[0]
         self.of_commands = example.rotor_source != "measured"
         cutoff = example.filters.command_cutoff if self.of_commands else example.filters.slow_cutoff
-        self._cutoff, self._lag_cutoff = cutoff / slower, example.filters.slow_cutoff / slower
+        self._cutoff, self._lag_cutoff = cutoff, example.filters.slow_cutoff
         self._instruments = self.predictor
         if self.predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
             self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)

@@ -63,28 +63,10 @@ class ErrorChange:
         """Decrease of the squared error over the remaining excess above the floor; infinite where nothing remains."""
         return _share(self.before**2 - self.after**2, self.after**2 - self.floor**2)
 
-    @property
-    def share_of_axis(self) -> float:
-        """Decrease of the squared error over the remaining excess, of the axis that falls most."""
-        fall, left = max(((-change, left) for change, left in zip(self.by_axis, self.left, strict=True)))
-        return _share(fall, left)
-
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
         largest = limits.max_open_loop_rise if self.motion > 0 else limits.max_rise
         return self.rise > largest and self.deviations > limits.deviations
-
-    def is_contradicted(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
-        """Whether the difference would matter, but the error does not fall as if it were real."""
-        return (
-            relative_rise((self.size / max(self.floor, 1e-12)) ** 2) >= limits.min_rise
-            and self.shortfall > limits.deviations
-        )
-
-
-def total_change(by_kind: Mapping[str, ErrorChange]) -> float:
-    """Change of the mean squared errors of all axes of all kinds, each over its squared floor."""
-    return sum(sum(change.by_axis) for change in by_kind.values())
 
 
 @dataclass(frozen=True, eq=False)

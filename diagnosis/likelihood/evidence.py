@@ -12,7 +12,7 @@ its own (Miller and Dunson, Robust Bayesian inference via coarsening, Journal of
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,11 +207,13 @@ class Search:
     """Sets of candidates by their evidence.
 
     kinds: flights of one kind of logs each. problem: of the first; candidates and their values are those of all.
-    total, coarse: sums of the likelihood, and of its share that counts as evidence.
+    total, coarse: sums of the likelihood, and of its share that counts as evidence. one_of: candidates of which one at
+    most is there, none but these; by default all may be.
     """
 
-    def __init__(self, kinds: Sequence[Kind], *, settled: bool) -> None:
+    def __init__(self, kinds: Sequence[Kind], *, settled: bool, one_of: Collection[int] | None = None) -> None:
         problem = kinds[0].problem
+        self._most = problem.thresholds.max_effects if one_of is None else 1
         seconds = sum(len(rows) * rows.period for kind in kinds for rows in kind.problem.flights)
         share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.problem, self.what = problem, problem.what
@@ -227,7 +229,8 @@ class Search:
         self.able = [
             i
             for i, places in enumerate(self.columns)
-            if places[-1] < len(size)
+            if (one_of is None or i in one_of)
+            and places[-1] < len(size)
             and np.all(size[places] > 0)
             and np.all(np.isfinite(size[places]))
             and not (lags and self.what.all[i].effect.rotor_speed is not None and i not in lags)
@@ -309,7 +312,7 @@ class Search:
         members = here.members
         sets = [members[:j] + members[j + 1 :] for j in range(len(members))]
         rest = [i for i in self.able if i not in members]
-        if len(members) < self.problem.thresholds.max_effects:
+        if len(members) < self._most:
             sets += [(*members, i) for i in rest]
         sets += [(*members[:j], i, *members[j + 1 :]) for j in range(len(members)) for i in rest]
         return [self.score(one) for one in sets]

@@ -369,8 +369,8 @@ def _turning(composition: Composition, values: Mapping[str, float], plant: Plant
         which += [place] * len(rows)
         size += [*slope[rows, columns]]
     order = np.argsort(at_row, kind="stable")
-    columns, conditions_of = (np.array(one, np.int32)[order] for one in (at_column, which))
-    return _firsts(np.array(at_row, int), RIGID + len(base)), columns, conditions_of, np.array(size, float)[order]
+    entries, conditions_of = np.array(at_column, np.int32)[order], np.array(which, np.int32)[order]
+    return _firsts(np.array(at_row, int), RIGID + len(base)), entries, conditions_of, np.array(size, float)[order]
 
 
 def _without_rigid(matrix: Floats, rows: int) -> Floats:

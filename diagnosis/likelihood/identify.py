@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,12 +26,16 @@ class Identified:
 
 
 def identify(
-    problems: Sequence[Problem], structures: Sequence[str] | None = None, progress: Progress = no_progress
+    problems: Sequence[Problem],
+    structures: Sequence[str] | None = None,
+    progress: Progress = no_progress,
+    *,
+    one_of: Collection[int] | None = None,
 ) -> Identified:
     """The best set of effects.
 
     problems: of the same candidates, one for each kind of logs. structures: of the noise, among which the likelihood
-    decides; by default all that a kind may have.
+    decides; by default all that a kind may have. one_of: numbers of candidates of which one at most is there.
     """
     t = problems[0].thresholds
     progress(0.0, "the noise of the flights")
@@ -42,7 +46,7 @@ def identify(
         progress(0.4 + 0.6 * number / t.rounds, "the effects that explain what is left")
         kinds = [_informed(one, noise, first=number == 0) for one, noise in zip(problems, noises, strict=True)]
         settled = number >= t.settled_rounds and (step < t.near or number == t.rounds - 1)
-        search = Search(kinds, settled=settled)
+        search = Search(kinds, settled=settled, one_of=one_of)
         best = search.best(members)
         values = search.named_values(best)
         step = value_step(search, best)

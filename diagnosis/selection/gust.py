@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.models import channels
+from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import GustProfile, Regression
 from diagnosis.thresholds import DEFAULT, GustThresholds
 from dynamics.arrays import Floats
@@ -40,6 +41,36 @@ class Gust:
     def variance(self) -> float:
         """Of the air's velocity along each horizontal axis, (m/s)^2."""
         return self.intensity**2
+
+
+@dataclass(frozen=True, eq=False)
+class AirMotion:
+    """Random air motion before and beside the effects. detected: whether a gust is among what is missing."""
+
+    before: Gust
+    gust: Gust
+    detected: bool
+
+
+def air_beside(regression: Regression, before: Gust, candidates: Sequence[Candidate]) -> AirMotion:
+    """The air that a regression shows beside certain effects. before: them."""
+    columns = [i for c in candidates for i in c.columns]
+    gust = gust_beside(regression, columns)
+    required = regression.thresholds.search.min_gust_share * regression.gain(columns)
+    return AirMotion(before, gust, _is_gust(gust, regression, required))
+
+
+def gust_variance(regression: Regression, chosen: Sequence[Candidate]) -> float:
+    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough, or is the strongest that is tried,
+    or no denser than an estimator's error, which the noise has already.
+
+    The strongest stands in for a force that is none of the air: it leaves the forces nothing of slow motion, beside
+    which a drag that is there has impossible values.
+    """
+    gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
+    none = gust.score < regression.thresholds.search.min_gain or _is_strongest(gust, regression)
+    none |= gust.intensity <= _error_as_gust(gust, regression)
+    return 0.0 if none else gust.variance
 
 
 def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool = True) -> Gust:
@@ -122,3 +153,25 @@ def _share(profile: GustProfile, penalty: float, resamples: int) -> float:
     drawn = [random.choice(count, count) for _ in range(resamples)]
     total = profile.total(np.array([np.bincount(flights, minlength=count) for flights in drawn], dtype=float))
     return float(np.mean(total.max(axis=1) - total[:, 0] > penalty))
+
+
+def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
+    """Whether random air motion is a gust: clear in most resamples, and surely denser than an estimator's error.
+
+    One as strong as the strongest that was tried stands in for a force that is none of the air.
+    """
+    limits, relevant = regression.thresholds.relevance, regression.thresholds.search
+    surely = gust.intensity - limits.deviations * gust.std
+    clear = surely > 0.0 and gust.share >= limits.min_agreement
+    air = _error_as_gust(gust, regression) < surely and not _is_strongest(gust, regression)
+    required = max(relevant.min_gain, relevant.relevant * regression.total, min_score)
+    return clear and air and gust.score >= required
+
+
+def _error_as_gust(gust: Gust, regression: Regression) -> float:
+    """Intensity, m/s, of a gust with the same corner that an estimator's error of velocity may be."""
+    return regression.thresholds.gust.over_error * regression.pose.as_gust(gust.corner)
+
+
+def _is_strongest(gust: Gust, regression: Regression) -> bool:
+    return gust.intensity >= (1 - 1e-6) * regression.thresholds.gust.intensity[1]

@@ -62,12 +62,6 @@ class NoiseModel:
         windows = as_strided(here, shape, (here.strides[0], width * here.itemsize, here.itemsize), writeable=False)
         return np.asarray((self._weights @ windows).reshape(shape[0], *here.shape[1:]))
 
-    def normal_equations(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
-        """(k, k) and (k,) X'X and X'y of whitened columns (m, 12, k) and rows (m, 12)."""
-        white = self.whiten(columns)
-        flat = white.reshape(-1, white.shape[2])
-        return flat.T @ flat, flat.T @ self.whiten(rows).ravel()
-
     def whiten_one(self, place: int, values: Floats) -> Floats:
         """Values (m, ...) of the active channel at a place, by its own filter alone: (m - order, ...)."""
         order, count = self.order, len(values) - self.order

@@ -212,20 +212,6 @@ class Regression:
             return np.zeros(len(weights))
         return solved(*self._free_of_shared(list(chosen), weights))[1]
 
-    def cross_validated_gain(self, chosen: Sequence[int]) -> float:
-        """Gain on each flight with coefficients from the others, without errors-in-variables correction.
-
-        The gain and the curve of commands are estimated on the flight itself.
-        """
-        where = list(chosen)
-        if not where:
-            return 0.0
-        own = np.eye(len(self.flights))
-        theta, _ = solved(*self._free_of_shared(where, 1 - own, plain=True))
-        grams, products = self._free_of_shared(where, own, plain=True)
-        quadratic = np.einsum("fi,fij,fj->", theta, grams, theta)
-        return float(2 * np.sum(theta * products) - quadratic)
-
     def _free_of_shared(
         self, where: Sequence[int], weights: Floats | None = None, *, plain: bool = False
     ) -> tuple[Floats, Floats]:

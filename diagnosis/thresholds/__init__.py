@@ -14,10 +14,8 @@ from diagnosis.thresholds.estimation import (
     AcceptanceThresholds,
     ConsistencyThresholds,
     EquationErrorThresholds,
-    LateSignalsThresholds,
     OutputErrorThresholds,
     RelevanceThresholds,
-    SlowMotionThresholds,
 )
 from diagnosis.thresholds.group import ThresholdGroup
 from diagnosis.thresholds.judgement import (
@@ -45,7 +43,6 @@ from diagnosis.thresholds.searching import (
     GustThresholds,
     RegressionThresholds,
     ResidualTestThresholds,
-    RivalThresholds,
     SearchThresholds,
 )
 
@@ -65,16 +62,13 @@ class Thresholds(ThresholdGroup, frozen=True):
     pose: PoseThresholds = PoseThresholds()
     regression: RegressionThresholds = RegressionThresholds()
     search: SearchThresholds = SearchThresholds()
-    rivals: RivalThresholds = RivalThresholds()
     gust: GustThresholds = GustThresholds()
     residual_tests: ResidualTestThresholds = ResidualTestThresholds()
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
-    slow_motion: SlowMotionThresholds = SlowMotionThresholds()
     output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
     consistency: ConsistencyThresholds = ConsistencyThresholds()
-    late_signals: LateSignalsThresholds = LateSignalsThresholds()
     likelihood: LikelihoodThresholds = LikelihoodThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
@@ -99,7 +93,6 @@ __all__ = [
     "GustThresholds",
     "HoverTrimThresholds",
     "InFlightThresholds",
-    "LateSignalsThresholds",
     "LikelihoodThresholds",
     "NoiseThresholds",
     "OutputErrorThresholds",
@@ -109,12 +102,10 @@ __all__ = [
     "RegressionThresholds",
     "RelevanceThresholds",
     "ResidualTestThresholds",
-    "RivalThresholds",
     "RotorHoldThresholds",
     "RotorMomentChecks",
     "SearchThresholds",
     "SegmentThresholds",
-    "SlowMotionThresholds",
     "ThresholdGroup",
     "Thresholds",
     "VehicleThresholds",

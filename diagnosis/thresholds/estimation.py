@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from msgspec import Meta
-
 from diagnosis.thresholds.group import Count, Factor, Positive, Score, Share, ThresholdGroup
 
 
@@ -33,16 +29,6 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks estimation coverage]
     min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands.
     [margins: neither]
-    slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
-        to turbulence. [docs/identification.md, section 3: an eighth of the bias is left]
-    max_moved: standard deviations by which such instruments may move an effect that keeps the others; wider intervals
-        are their price. [results/verdicts.md, nothing hidden: 5 of 343 sets had an inertia without them, 2 with two
-        deviations, none with one]
-    min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
-        none]
-    faster: by which that cutoff is multiplied to see whether a value follows it. [results/counts.md: of seeds
-        24007 and 24101, inertias of 1.84 and 1.27 with nothing hidden move by 1.14 and 0.34, true ones by 0.03]
-    unsure: share of that move that is a deviation of the value. [definition: the deviation of two values]
     """
 
     max_steps: Count = 8
@@ -60,27 +46,6 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
     min_excess: Factor = 1.2
-    slower: Annotated[float, Meta(gt=1)] = 2.0
-    max_moved: Positive = 1.0
-    min_more: Share = 0.1
-    faster: Annotated[float, Meta(gt=1)] = 4.0
-    unsure: Share = 0.5
-
-
-class SlowMotionThresholds(ThresholdGroup, frozen=True):
-    """Slow motion's test of a model.
-
-    cutoff: below which motion is slow, Hz. [decisions: slow motion decides]
-    min_share: of the instruments' scaled Gram matrix, below which its directions are none. [convention]
-    enough: J over the number of instruments up to which it does not refute a set. [decisions: slow motion decides: 0.8
-        to 1.5 of five true sets, 5 and more of four false ones]
-    min_fall: of what is left over that, above which another set is better. [convention]
-    """
-
-    cutoff: Positive = 0.75
-    min_share: Share = 1e-5
-    enough: Factor = 2.0
-    min_fall: Share = 0.1
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):
@@ -108,25 +73,12 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
     """Held-out flights judge, once, the set of effects that was selected on the others.
 
     max_ratio: of the held-out reduced chi-square with an effect over that without it. [margins: neither]
-    max_redundant_ratio: of the reduced chi-square of the fitted flights, within which rivals are alike. [decisions:
-    the full model decides]
-    min_held_out_change: squared change over noise on held-out flights, below which these cannot judge. [decisions:
-    held-out flights]
-    leading: effects whose rivals are fitted in the full model. [decisions: the full model decides]
-    max_rivals: of each of these that are fitted. [margins: neither]
     typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
     flights]
-    max_linear_rise: of an error without an effect, over the floor, up to which the others are fitted again in full and
-    not by their linearised equations. [margins: neither]
     """
 
     max_ratio: Share = 0.999
-    max_redundant_ratio: Factor = 1.01
-    min_held_out_change: Score = 25.0
-    leading: Count = 2
-    max_rivals: Count = 2
     typical_window: Positive = 2.0
-    max_linear_rise: Score = 0.1
 
 
 class RelevanceThresholds(ThresholdGroup, frozen=True):
@@ -166,33 +118,9 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
         constant that warms up]
     min_over_noise: RMS of what the difference explains over the noise, above which that is so. [definition: 0.2 raises
         the error by 2 %]
-    min_share_of_left: squared error that an effect explains over what is left above the floor, in the kind of channel
-        that falls most. [results/verdicts.md: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
-        floor has 0.05 beside one of 5 times]
-    min_share_of_axis: the same of the axis that falls most; an effect may be below one of the two. [the same: 0.2]
-    min_share_at_all: as the first, below which no axis counts: what is missing by a hundred times as much reaches any
-        axis. [results/verdicts.md, swirl-955 and 956: 0.004 and 0.006 of a constant that is right, with 0.34 and
-        0.49 of an axis]
     """
 
     max_drift: Share = 0.2
     deviations: Positive = 2.0
     sure: Positive = 5.0
     min_over_noise: Score = 0.2
-    min_share_of_left: Score = 0.05
-    min_share_of_axis: Score = 0.25
-    min_share_at_all: Score = 0.01
-
-
-class LateSignalsThresholds(ThresholdGroup, frozen=True):
-    """When an effect stands in for a signal that was logged late.
-
-    min_delay: s; smaller ones are within the clocks' errors. [definition: that of the catalogue's delays]
-    max_share_kept: gain of an effect beside the delay over that without it, up to which the delay replaces it.
-    [margins: neither]
-    min_share: of the gain of all effects that it replaces, which the delay must have in their place. [margins: neither]
-    """
-
-    min_delay: Positive = 0.003
-    max_share_kept: Share = 0.2
-    min_share: Share = 0.9

@@ -29,82 +29,21 @@ class SearchThresholds(ThresholdGroup, frozen=True):
 
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
     where nothing is hidden]
-    min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
     relevant: gain over the number of whitened residuals below which an effect does not matter: a tenth of
     2 % of the floor of one kind of four. [margins: neither]
-    min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
-    vehicle without either. [margins: neither]
-    parsimony: share of the gain at which fewer coefficients are preferred. [margins: neither]
-    min_cross_validated: share of an improvement that must show on flights left out. [margins: neither]
-    min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
-    max_effects: in one set. [convention]
-    max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
-    max_rounds: of search, each about the fit of the last one. [margins: neither]
     explained: reduced chi-square of the fitted flights at which no further round is needed. [margins: neither]
-    unexplained: reduced chi-square of the last round's fit above which the search begins again in still air, where a
-    gust stood in for a drag. [definition: twice the noise]
     still_explained: of that search, up to which it counts, and of named effects, up to which rivals that need less are
     sought. [definition: that of a typical window that is explained]
-    max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
-    search goes fewer steps. [margins: neither]
-    max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
-    goes on from that pair. [benchmarks adaptation estimates: 0.01 to 0.07 in three windy flights, about 1 in two]
-    max_paired: best single effects with which pairs are tried. [margins: neither]
-    max_trials: best additions that are cross-validated in one step. [margins: neither]
-    max_proposed: best additions that the full model tries in one step of the pursuit. [decisions: of two sets that
-    columns led astray the one that leaves least was among five]
-    max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
-    min_contender_share: of the best score that a contender must have. [margins: neither]
-    bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
     min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
     """
 
     min_gain: Score = 40.0
-    min_fault_gain: Score = 15.0
     relevant: Share = 0.001
-    min_share: Share = 0.003
-    parsimony: Share = 0.985
-    min_cross_validated: Share = 0.3
-    min_improvement: Score = 1.0
-    max_effects: Count = 10
-    max_steps: Count = 60
-    max_rounds: Count = 5
     explained: Factor = 1.05
-    unexplained: Factor = 4.0
     still_explained: Factor = 1.5
-    max_growth: Factor = 2.0
-    max_pair_share: Share = 0.5
-    max_paired: Count = 8
-    max_trials: Count = 12
-    max_proposed: Count = 5
-    max_contenders: Count = 5
-    min_contender_share: Share = 0.5
-    bound_slack: Score = 0.02
     amplitude: Range = (0.4, 1.9)
     min_gust_share: Share = 0.03
-
-
-class RivalThresholds(ThresholdGroup, frozen=True):
-    """When these flights cannot tell two effects apart.
-
-    score_margin: difference of score within which they cannot. [margins: neither]
-    gain_share: of the gain, the same. [margins: half]
-    added_share: of what an effect adds to the others, that a rival may leave to be declared. [margins: neither]
-    max_rivals: that are compared with an effect. [margins: neither]
-    min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
-    are declared where the catalogue says that they look alike. [margins: neither]
-    min_alike_share: of an effect's gain that one which the catalogue declares to look like it has in its place, above
-    which the two are declared where the verdict is unknown; and which a refused one takes from it. [definition: half of
-    it]
-    """
-
-    score_margin: Score = 12.0
-    gain_share: Share = 0.01
-    added_share: Share = 0.15
-    max_rivals: Count = 7
-    min_narrow_ratio: Share = 0.95
-    min_alike_share: Share = 0.5
 
 
 class GustThresholds(ThresholdGroup, frozen=True):

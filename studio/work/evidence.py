@@ -11,7 +11,6 @@ import numpy as np
 
 from diagnosis.by_likelihood import likelihood_fit
 from diagnosis.diagnose import DiagnosisDetails
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.fitted import Fit
 from diagnosis.likelihood.named import Named
@@ -102,21 +101,20 @@ class _Fits:
 
 
 def _fits(details: DiagnosisDetails, tried: Tried) -> _Fits:
-    """By the likelihood beside the other effects that it names, with the answer's values and intervals; by the
-    regression alone. Raises DataError where the values that fit best are physically impossible."""
+    """Beside the other effects that are named, with the answer's values and intervals.
+
+    Raises DataError where the values that fit best are physically impossible.
+    """
     regression, answer, candidate = details.regression, details.likelihood, tried.candidate
-    if answer is None or tried.number is None:
-        fitted, without, others = fit(regression, [candidate]), fit(regression, ()).vehicle, []
-    else:
-        if tried.score is None:
-            raise DataError(
-                f"the values of {candidate.key} that fit these flights best are physically impossible, so there is "
-                "nothing to show of it. Look at the effects above it, or at another flight."
-            )
-        others = [one for one in answer.named if one.number != tried.number]
-        own = Named(tried.number, candidate, tried.score, ())
-        fitted = likelihood_fit(answer.search, regression, [*others, own])
-        without = likelihood_fit(answer.search, regression, others).vehicle
+    if tried.score is None:
+        raise DataError(
+            f"the values of {candidate.key} that fit these flights best are physically impossible, so there is "
+            "nothing to show of it. Look at the effects above it, or at another flight."
+        )
+    others = [one for one in answer.named if one.number != tried.number]
+    own = Named(tried.number, candidate, tried.score, ())
+    fitted = likelihood_fit(answer.search, regression, [*others, own])
+    without = likelihood_fit(answer.search, regression, others).vehicle
     free = tuple(name for key, name in fitted.estimates if key == candidate.key)
     return _Fits(fitted, without, free, tuple(one.candidate.key for one in others))
 

@@ -1,5 +1,8 @@
 """What is added when no effect is named, the notes that come with it, and why an effect is refused."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import msgspec
 import numpy as np
 import pytest
@@ -81,14 +84,25 @@ def rotor_drag(vehicle, dataset, *, of_file, fitted):
     return Accepted(fit, (), {}, {"rotor_drag": 1.0}, np.ones(12)), regression
 
 
+def answered(regression, accepted):
+    """An answer with these effects, of which nothing is left where one is taken back."""
+    fewer = replace(accepted, fit=replace(accepted.fit, estimates={}, candidates=()))
+
+    def without(refused, _):
+        return SimpleNamespace(regression=regression, accepted=replace(fewer, refused=tuple(refused)))
+
+    return SimpleNamespace(regression=regression, accepted=accepted, without=without)
+
+
 @pytest.mark.parametrize(("of_file", "written"), [(0.0, False), (8e-6, True)])
 def test_what_makes_no_open_loop_better_is_not_written_however_sure_it_is(plain_flights, arpl_250g, of_file, written):
     """With nothing hidden a drag of 0.973 was written in place of 1, and the position after a second erred by more."""
     dataset = make_dataset(plain_flights, arpl_250g)
     accepted, regression = rotor_drag(arpl_250g, dataset, of_file=of_file, fitted=3e-7)
     judge = HeldOut(regression, dataset.held_out)
+    answer = answered(regression, accepted)
     if written:
-        assert _borne_out(accepted, regression, dataset, judge).fit.keys == ("rotor_drag",)
+        assert _borne_out(answer, dataset, judge).accepted.fit.keys == ("rotor_drag",)
     else:
         with pytest.raises(DataError, match=r"nothing was added: rotor_drag .* not better with it by more than chance"):
-            _borne_out(accepted, regression, dataset, judge)
+            _borne_out(answer, dataset, judge)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from diagnosis import diagnose
+from diagnosis import by_likelihood
 from diagnosis.by_likelihood import (
     LikelihoodAnswer,
     answer_by_likelihood,
@@ -17,6 +17,7 @@ from diagnosis.by_likelihood import (
     likelihood_problems,
 )
 from diagnosis.data.dataset import Dataset, read_dataset
+from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.evidence import Sums
@@ -25,6 +26,7 @@ from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
 from diagnosis.tried import tried_by_likelihood
 from dynamics.effects import CATALOGUE
+from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from fixtures.real_flights import DATA, px4_sih
 
@@ -64,16 +66,15 @@ def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
     assert sum(rows.segment.duration for rows in parts) == pytest.approx(lasting)
 
 
-def test_where_no_filter_fits_the_readings_the_regression_answers(monkeypatch):
+def test_where_no_filter_fits_the_readings_the_answer_is_a_refusal(monkeypatch):
     dataset, vehicle, _ = twice_the_drag()
 
     def none(*_, **__):
         raise np.linalg.LinAlgError("no stationary solution")
 
-    monkeypatch.setattr(diagnose, "answer_by_likelihood", none)
-    diagnosis = diagnose.diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
-    assert diagnosis.method == "regression"
-    assert {effect.name for effect in diagnosis.effects} >= {"linear_drag"}
+    monkeypatch.setattr(by_likelihood, "identify", none)
+    with pytest.raises(DataError, match=r"no filter can follow the readings.*Wanted gyro and rotors"):
+        diagnose_dataset(dataset, vehicle, CATALOGUE)
 
 
 def test_the_report_has_the_likelihoods_values_and_deviations():

@@ -1,12 +1,9 @@
 """Plant a truth, and it must be named; hide nothing, and nothing may be."""
 
-from types import SimpleNamespace
-
 import msgspec
 import numpy as np
 import pytest
 
-from diagnosis import diagnose
 from diagnosis.addition import add_effect, write_next_version
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
@@ -175,22 +172,3 @@ def test_an_effect_that_was_not_excited_is_listed_with_what_to_fly(plain_flights
     assert "ground_effect" in result.diagnosis.not_excited
     assert "mass" not in result.diagnosis.not_excited
     assert "ground" in result.diagnosis.next_flight
-
-
-@pytest.mark.parametrize("drifts", [True, False])
-def test_what_mattered_after_all_is_not_named_where_it_has_no_one_value(monkeypatch, drifts):
-    """Of what warms up a weak rotor was named in place of the thrust constant that had been refused."""
-    few, more = (SimpleNamespace(fit=name) for name in ("few", "more"))
-    selected = SimpleNamespace(chosen=SimpleNamespace(candidates=()))
-    judged = {
-        few.fit: SimpleNamespace(rejected=("typical_window",), fitted=[]),
-        more.fit: SimpleNamespace(rejected=(), fitted=[]),
-    }
-    monkeypatch.setattr(diagnose._Judgement, "of", lambda self, accepted: judged[accepted.fit])
-    monkeypatch.setattr(diagnose, "effects_of_late_signal", lambda *_: ())
-    monkeypatch.setattr(
-        diagnose, "_standing_in", lambda _, accepted, __: ("drifts",) if drifts and accepted is more else ()
-    )
-    monkeypatch.setattr(diagnose, "with_small", lambda *_: more)
-    accepted, _ = diagnose._Judgement(None, None, selected, None, []).revised(few)
-    assert accepted is (few if drifts else more)

@@ -99,8 +99,8 @@ def test_neither_sees_a_change(arpl_250g: Vehicle) -> None:
         (
             DRAG,
             (),
-            {"refused": (Refused("rotor_drag", None, "redundant"),)},
-            "does not name it: the vehicle file's own effects",
+            {"refused": (Refused("rotor_drag", None, "unsure", {"odds": 3.0, "required": 20.0}),)},
+            "does not name it: it is 3 times as likely as not",
         ),
         (
             DRAG,

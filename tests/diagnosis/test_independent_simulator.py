@@ -5,10 +5,7 @@ import pytest
 from rotorpy.vehicles.multirotor import Multirotor
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals
-from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.selected import select
+from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
 from dynamics.vehicle import EffectUse
@@ -56,19 +53,13 @@ def test_a_drag_hidden_in_rotorpy_flights_is_named_with_its_value(arpl_250g):
     use = EffectUse("rotor_drag", {"coefficient": 1.5e-5})
     paths = [PATHS[0], PATHS[1], PATHS[7]]
     flights = rotorpy_flights(arpl_250g, [use], seed=1, paths=paths, duration=8.0)
-    dataset = make_dataset(flights, arpl_250g)
-    regression = make_regression(arpl_250g, SOME, dataset.fitted, dataset.flight_of)
-    chosen = select(regression).chosen
-    assert chosen.names == {"rotor_drag"}
-    fitted = fit(regression, chosen.candidates)
-    estimate = fitted.estimates["rotor_drag", "coefficient"]
+    details = diagnose_dataset(make_dataset(flights, arpl_250g), arpl_250g, SOME)
+    (named,) = details.diagnosis.effects
+    estimate = named.parameters["coefficient"]
+    assert named.name == "rotor_drag"
     assert estimate.value == pytest.approx(1.5e-5, rel=0.01)
     assert abs(estimate.value - 1.5e-5) < 4 * estimate.std
-    before, after = (
-        reduced_chi_square(residuals(vehicle, SOME, dataset.held_out, regression.noise), regression.noise)
-        for vehicle in (arpl_250g, fitted.vehicle)
-    )
-    assert after < 1.3 < 5 < before
+    assert details.chi_square_after < 1.3 < 5 < details.chi_square_before
 
 
 def test_flights_are_the_same_for_the_same_seed_and_differ_for_another(arpl_250g):

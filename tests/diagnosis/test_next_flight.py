@@ -42,7 +42,7 @@ def test_a_line_is_named_by_its_frequency_and_a_torque_as_a_torque():
 
 def test_look_alikes_come_first_and_hints_last():
     alike = MissingEffect("mass", None, {}, 1.0, ("thrust_constant",))
-    hint = Refused("axial_inflow", None, "interval_holds_neutral", {"deviations": 1.0, "required": 2.0})
+    hint = Refused("axial_inflow", None, "unsure", {"odds": 4.0, "required": 20.0})
     small = Refused("wind", None, "too_small")
     text = advice([alike], [left()], [hint, small])
     assert text.index("to tell mass from thrust_constant") < text.index("about what the state predicts")
@@ -53,7 +53,7 @@ def test_look_alikes_come_first_and_hints_last():
 def test_the_reference_is_for_what_is_open_and_a_manoeuvre_shows():
     alike = MissingEffect("mass", None, {}, 1.0, ("thrust_constant",))
     sure = MissingEffect("rotor_drag", None, {}, 1.0, ())
-    hint = Refused("axial_inflow", None, "interval_holds_neutral", {"deviations": 1.0, "required": 2.0})
+    hint = Refused("axial_inflow", None, "unsure", {"odds": 4.0, "required": 20.0})
     reference = next_reference([sure, alike], [hint], ["inertia"], CATALOGUE)
     assert reference == "identify:for=mass+thrust_constant+axial_inflow"
     assert next_reference([], [], ["gust", "wall_effect", "inertia"], CATALOGUE) == "identify:for=inertia"

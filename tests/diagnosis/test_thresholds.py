@@ -19,7 +19,7 @@ from tests.diagnosis.synthetic import hovering
 ROOM = Path(diagnosis.__file__).parent
 SOME = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias", "gyro_bias")}
 # Sizes and places of arrays, units, a seed, how many rows fit the cache, effects: nothing that a fleet would retune.
-NO_THRESHOLDS = {
+NO_THRESHOLDS = {"LANES",
     "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "FORCE_READING", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",

@@ -6,7 +6,6 @@ import pytest
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.effects.time_delay import SENSOR_PRIOR
 from dynamics.vehicle import EffectUse
@@ -30,7 +29,7 @@ def fitted(vehicle, flights, name, *others):
     some = {n: CATALOGUE[n] for n in (*SENSORS, name, *others)}
     regression = make_regression(vehicle, some, data.fitted, data.flight_of)
     family = [c for c in regression.candidates if c.effect.name == name]
-    estimate = fit(regression, [max(family, key=lambda c: Search(regression).score([c]).score)])
+    estimate = min((fit(regression, [c]) for c in family), key=lambda one: one.chi_square)
     return {parameter: e for (_, parameter), e in estimate.estimates.items()}, len(regression.flights)
 
 

@@ -15,6 +15,7 @@ from diagnosis.likelihood.identify import deviations, identify
 from diagnosis.likelihood.problem import Information, Problem
 from diagnosis.likelihood.rigid_body import FlightModel
 from diagnosis.thresholds.likelihood import LikelihoodThresholds
+from diagnosis.tried import not_excited
 from dynamics.vehicle import GRAVITY, EffectUse
 from tests.diagnosis.likelihood.flights import problem_of
 
@@ -191,3 +192,19 @@ def test_a_drag_of_another_simulator_is_named_alone_with_its_value():
     assert chi_square == pytest.approx(1.0, abs=0.03)
     truth = 6.869e-05
     assert abs(effects["rotor_drag"]["coefficient"] - truth) < 3 * std["rotor_drag"]
+
+
+def test_an_effect_that_would_not_be_named_at_its_usual_size_was_not_excited():
+    problem, parts, _, _ = made_up(np.random.default_rng(4))
+    names = [c.effect.name for c in problem.what.all]
+    search = search_of(problem, parts)
+    usual = search.std[1]
+    shown = not_excited(search, ())
+    for part in parts:  # the second effect as weak as a hundredth of the noise at its usual size
+        part.M[:, 1] *= 0.01 / usual
+        part.M[:, :, 1] *= 0.01 / usual
+        part.g[:, 1] *= 0.01 / usual
+    quiet = not_excited(search_of(problem, parts), ())
+    assert names[1] in quiet
+    assert set(shown) <= set(quiet)
+    assert not_excited(search_of(problem, parts), (1,)) == tuple(n for n in quiet if n != names[1])

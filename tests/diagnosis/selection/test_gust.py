@@ -1,14 +1,16 @@
 """Random slow air is distinguished from white noise, with about its strength."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from diagnosis.models.pose_errors import PoseErrors
 from diagnosis.selection.air_motion import cosines, spectral_weights
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import gust_beside
-from diagnosis.selection.selected import select
+from diagnosis.selection.gust import Gust, _is_gust, air_beside, gust_beside, gust_variance
 from dynamics.effects import CATALOGUE
-from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 ROWS, RATE, FLIGHTS = 250, 25.0, 3
 
@@ -65,13 +67,18 @@ def test_without_wind_or_without_a_stochastic_effect_there_is_no_gust(arpl_250g)
     assert gust_beside(other, []).score == -np.inf
 
 
-def test_a_gust_beside_an_effect_ends_no_search_and_both_have_their_size(arpl_250g):
+def air(of, *keys):
+    """The air beside some of the candidates."""
+    return air_beside(of, gust_beside(of, []), [c for c in of.candidates if c.key in keys])
+
+
+def test_a_gust_beside_an_effect_and_the_effect_have_their_size(arpl_250g):
     both = blown(arpl_250g, intensity=1.0, seed=1, drag=0.5)
-    selection = select(both)
-    assert selection.chosen.names == {"drag"}
-    assert selection.gust_detected
-    assert selection.gust.intensity == pytest.approx(1.0, rel=0.2)
-    theta, _ = both.in_gust(selection.gust_variance).solve(selection.chosen.columns)
+    beside = air(both, "drag")
+    assert beside.detected
+    assert beside.gust.intensity == pytest.approx(1.0, rel=0.2)
+    drag = [c for c in both.candidates if c.key == "drag"]
+    theta, _ = both.in_gust(gust_variance(both, drag)).solve(drag[0].columns)
     assert theta[0] == pytest.approx(0.5, abs=0.1)
 
 
@@ -89,16 +96,33 @@ def test_normal_equations_beside_a_gust_are_those_of_its_covariance(arpl_250g):
 
 
 def test_a_gust_as_strong_as_the_strongest_that_was_tried_is_none(arpl_250g):
-    storm = blown(arpl_250g, intensity=60.0, seed=0)
-    assert not select(storm).gust_detected
-    assert select(blown(arpl_250g, intensity=6.0, seed=0)).gust_detected
+    assert not air(blown(arpl_250g, intensity=60.0, seed=0)).detected
+    assert air(blown(arpl_250g, intensity=6.0, seed=0)).detected
 
 
-def test_a_steady_wind_is_a_wind_and_no_gust(arpl_250g):
+def test_a_steady_wind_is_no_gust(arpl_250g):
     """Its first cosine makes a gust of it that gains nearly as much."""
     windy = blown(arpl_250g, intensity=0.0, seed=3)
     rows = [y + x[:, :, :2] @ np.array([8.0, -13.0]) for x, y in zip(windy.columns, windy.rows, strict=True)]
     steady = regression(arpl_250g, windy.candidates, windy.columns, rows, catalogue=windy.catalogue)
-    selection = select(steady)
-    assert selection.chosen.names == {"wind"}
-    assert not selection.gust_detected
+    assert not air(steady, "wind").detected
+
+
+def test_air_motion_within_the_estimators_own_error_is_no_gust(arpl_250g):
+    of_all = planted(arpl_250g, [0.0], seed=0)
+    estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
+    weak, strong = (Gust(100.0, 90.0, intensity, 0.02, 1.0) for intensity in (0.15, 0.8))
+    assert _is_gust(weak, of_all, 40.0)
+    assert not _is_gust(weak, estimated, 40.0)
+    assert _is_gust(strong, estimated, 40.0)
+    assert not _is_gust(strong, estimated, 95.0)
+    fast = dataclasses.replace(strong, corner=0.3)  # spreads its strength over more frequencies than the error
+    assert _is_gust(fast, of_all, 40.0)
+    assert not _is_gust(fast, estimated, 40.0)
+
+
+def test_a_gust_that_few_resamples_show_or_whose_interval_holds_nothing_is_none(arpl_250g):
+    of_all = planted(arpl_250g, [0.0], seed=0)
+    assert _is_gust(Gust(100.0, 90.0, 0.4, 0.1, 0.6), of_all, 40.0)
+    assert not _is_gust(Gust(100.0, 90.0, 0.4, 0.25, 0.6), of_all, 40.0)
+    assert not _is_gust(Gust(100.0, 90.0, 0.4, 0.1, 0.4), of_all, 40.0)

@@ -7,11 +7,7 @@ from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.output_error import refit
-from diagnosis.selection.candidates import make_candidates
-from diagnosis.selection.coefficients import possible
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.search import Search
-from diagnosis.selection.sensor_errors import sensor_biases
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
@@ -55,31 +51,6 @@ def test_a_lag_in_the_vehicle_file_can_be_wrong(arpl_250g):
     effects = diagnose_dataset(dataset, vehicle, RIVALS).diagnosis.effects
     assert [e.name for e in effects] == ["motor_lag"]
     assert effects[0].parameters["time_constant"].value == pytest.approx(true, abs=0.0015)
-
-
-def test_a_right_lag_in_the_file_is_not_doubted(arpl_250g):
-    vehicle = with_lag(arpl_250g, 0.03)
-    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=33), vehicle)
-    search = Search(make_regression(vehicle, SENSORS, dataset.fitted, dataset.flight_of))
-    lags = [c for c in search.regression.candidates if c.key == "motor_lag"]
-    assert max(search.score([c]).score for c in lags) < search.thresholds.min_gain
-
-
-def test_corrections_are_regressed_as_differences_from_the_file(arpl_250g):
-    vehicle = with_lag(arpl_250g, 0.045).with_effects(EffectUse("time_delay", {"delay": 0.01}))
-    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=35), vehicle)
-    candidates = make_candidates(vehicle, SENSORS, dataset.fitted)
-    lags = [c for c in candidates if c.key == "motor_lag"]
-    assert [c.at["time_constant"] for c in lags] == [0.004, 0.01, 0.018, 0.03, 0.07, 0.12]
-    shorter = lags[3]
-    assert shorter.sizes["time_constant"] == pytest.approx(-0.015)
-    assert shorter.scaled(2.0)["time_constant"] == pytest.approx(0.015)
-    assert possible(shorter, [0.3], vehicle)
-    assert not possible(shorter, [0.1], vehicle)  # 1.5 ms are within the clocks' errors
-    late = next(c for c in candidates if c.key == "time_delay")
-    biases = sensor_biases(candidates)
-    information = biases.information[biases.columns.index(late.columns[0])]
-    assert information == pytest.approx((CATALOGUE["time_delay"].sensor_prior / 0.005) ** -2)
 
 
 def test_the_interval_of_a_lag_has_the_clocks_of_the_commands_in_it(arpl_250g):
