@@ -213,7 +213,7 @@ class Search:
 
     def __init__(self, kinds: Sequence[Kind], *, settled: bool, one_of: Collection[int] | None = None) -> None:
         problem = kinds[0].problem
-        self._most = problem.thresholds.max_effects if one_of is None else 1
+        self._greatest_count = problem.thresholds.max_effects if one_of is None else 1
         seconds = sum(len(rows) * rows.period for kind in kinds for rows in kind.problem.flights)
         share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.problem, self.what = problem, problem.what
@@ -312,7 +312,7 @@ class Search:
         members = here.members
         sets = [members[:j] + members[j + 1 :] for j in range(len(members))]
         rest = [i for i in self.able if i not in members]
-        if len(members) < self._most:
+        if len(members) < self._greatest_count:
             sets += [(*members, i) for i in rest]
         sets += [(*members[:j], i, *members[j + 1 :]) for j in range(len(members)) for i in rest]
         return [self.score(one) for one in sets]

@@ -32,7 +32,7 @@ typedef struct {
     double *out, *path;
 } problem;
 
-static inline int least(int a, int b)
+static inline int smaller(int a, int b)
 {
     return a < b ? a : b;
 }
@@ -115,9 +115,9 @@ static inline void near(const double *from, size_t count)
         group_##GROUP *now = space, *next = space + n * groups, *nu = space + 2 * n * groups;                          \
         for (int g = 0; g < groups; g++)                                                                               \
             for (int i = 0; i < n; i++)                                                                                \
-                now[n * g + i] = read_##GROUP(x + k * i + width * g, least(width, k - width * g));                     \
+                now[n * g + i] = read_##GROUP(x + k * i + width * g, smaller(width, k - width * g));                     \
         for (int first = 0; first < p->rows; first += ROWS) {                                                          \
-            const int last = least(first + ROWS, p->rows);                                                             \
+            const int last = smaller(first + ROWS, p->rows);                                                             \
             near(p->B + (size_t)k * p->inputs * first, (size_t)k * p->inputs * (last - first));                        \
             near(p->D + (size_t)k * p->readings * first, (size_t)k * p->readings * (last - first));                    \
             for (int g = 0; g < groups; g++) {                                                                         \
@@ -125,7 +125,7 @@ static inline void near(const double *from, size_t count)
                 for (int t = first; t < last; t++) {                                                                   \
                     if (p->path && g == 0)                                                                             \
                         for (int i = 0; i < n; i++) p->path[(size_t)n * t + i] = here[i].of[0][0];                     \
-                    row_##GROUP(p, t, width * g, least(width, k - width * g), here, there, nu);                        \
+                    row_##GROUP(p, t, width * g, smaller(width, k - width * g), here, there, nu);                        \
                     group_##GROUP *swapped = here;                                                                     \
                     here = there;                                                                                      \
                     there = swapped;                                                                                   \
@@ -139,7 +139,7 @@ static inline void near(const double *from, size_t count)
         }                                                                                                              \
         for (int g = 0; g < groups; g++)                                                                               \
             for (int i = 0; i < n; i++)                                                                                \
-                memcpy(x + k * i + width * g, now + n * g + i, (size_t)least(width, k - width * g) * sizeof(double));  \
+                memcpy(x + k * i + width * g, now + n * g + i, (size_t)smaller(width, k - width * g) * sizeof(double));  \
     }
 
 DEFINE_PASS(1)

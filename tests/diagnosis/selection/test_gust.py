@@ -74,9 +74,9 @@ def air(of, *keys):
 
 def test_a_gust_beside_an_effect_and_the_effect_have_their_size(arpl_250g):
     both = blown(arpl_250g, intensity=1.0, seed=1, drag=0.5)
-    beside = air(both, "drag")
-    assert beside.detected
-    assert beside.gust.intensity == pytest.approx(1.0, rel=0.2)
+    motion = air(both, "drag")
+    assert motion.detected
+    assert motion.gust.intensity == pytest.approx(1.0, rel=0.2)
     drag = [c for c in both.candidates if c.key == "drag"]
     theta, _ = both.in_gust(gust_variance(both, drag)).solve(drag[0].columns)
     assert theta[0] == pytest.approx(0.5, abs=0.1)
