@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
+from diagnosis.models.command_effects import COMMAND_EFFECTS
 from diagnosis.selection.candidates import Candidate
 from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
@@ -55,7 +56,7 @@ def not_excited(search: Search, members: Sequence[int]) -> tuple[str, ...]:
     taken, shown = {search.what.all[i].effect.name for i in members}, dict[str, bool]()
     for number, candidate in enumerate(search.what.all):
         name = candidate.effect.name
-        of_logs = candidate.effect.sensor_prior is not None or max(search.columns[number]) >= len(search.std)
+        of_logs = candidate.effect.sensor_prior is not None or name in COMMAND_EFFECTS
         if name in taken or shown.get(name) or of_logs or not _is_usual(search, candidate):
             continue
         required = search.problem.thresholds.named - search.log_prior[number]
