@@ -104,7 +104,7 @@ def _ranking(diagnosed: Diagnosed) -> Any:
         {"field": "outcome", "headerName": "outcome", "width": 120},
         {
             "field": "score",
-            "headerName": "log odds" if diagnosed.by_likelihood else "score alone",
+            "headerName": "log odds",
             "width": 120,
             "type": "numericColumn",
             "valueFormatter": {"function": "params.value == null ? '' : d3.format(',.4~g')(params.value)"},

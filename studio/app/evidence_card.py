@@ -185,8 +185,8 @@ def _company(evidence: Evidence) -> str:
 
 
 def _odds(evidence: Evidence) -> list[Any]:
-    """How much likelier the named effects are with this one than without it; nothing by the regression."""
-    if not evidence.by_likelihood or evidence.score is None:
+    """How much likelier the named effects are with this one than without it."""
+    if evidence.score is None:
         return []
     odds, required = html.B(f"{evidence.score:.3g}"), f"; an effect is named from {DEFAULT.likelihood.named:g} on."
     return [dmc.Text(["Log of the odds that it is there against that it is not: ", odds, required])]

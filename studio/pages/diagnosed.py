@@ -133,19 +133,16 @@ def overlay_lines(view: Overlay, *, improved: bool) -> Picture:
 
 
 def ranking_bars(details: DiagnosisDetails, max_count: int = 14) -> Picture:
-    """The score of each effect, the best first: beside the named ones by the likelihood, alone by the regression."""
+    """The log of the odds of each effect beside the named ones, the best first."""
     able = [(one.candidate, one.score) for one in details.tried if one.score is not None][:max_count]
     names = [candidate.key for candidate, _ in able]
     named = {effect.name for effect in details.diagnosis.effects}
     colours = [AFTER if candidate.effect.name in named else SKY for candidate, _ in able]
-    thresholds, by_likelihood = details.regression.thresholds, details.likelihood is not None
-    scores = [score if by_likelihood else max(score, 1.0) for _, score in able]
-    min_score = thresholds.likelihood.named if by_likelihood else thresholds.search.min_gain
-    title = "log of the odds" if by_likelihood else "score"
+    min_score = details.regression.thresholds.likelihood.named
     figure = go.Figure(
         go.Bar(
             y=names,
-            x=scores,
+            x=[score for _, score in able],
             orientation="h",
             marker_color=colours,
             customdata=[score for _, score in able],
@@ -153,9 +150,7 @@ def ranking_bars(details: DiagnosisDetails, max_count: int = 14) -> Picture:
         )
     )
     figure.add_vline(x=min_score, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text=f"{title} (dashed: minimum for a claim)")
-    if not by_likelihood:
-        figure.update_xaxes(type="log", dtick=1, exponentformat="power")
+    figure.update_xaxes(title_text="log of the odds (dashed: minimum for a claim)")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect.")
 

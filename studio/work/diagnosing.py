@@ -7,7 +7,6 @@ from pathlib import Path
 
 from diagnosis.by_likelihood import likelihood_fit
 from diagnosis.diagnose import DiagnosisDetails
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.refusal import reason_of
 from diagnosis.regimes import regime_maps
@@ -41,7 +40,7 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
     dataset, vehicle, catalogue = memory.dataset(task), memory.vehicle(task), memory.catalogue(task)
     regression, thresholds, answer = details.regression, details.regression.thresholds, details.likelihood
     progress(0.9, "pictures")
-    present = (fit(regression, ()) if answer is None else likelihood_fit(answer.search, regression, ())).vehicle
+    present = likelihood_fit(answer.search, regression, ()).vehicle
     before = residuals_in(regression, present, dataset.everything)
     after = residuals_in(regression, details.accepted.fit.vehicle, dataset.everything)
     floor = regression.noise.floor
@@ -70,7 +69,6 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
         notes=details.notes,
         leftovers=tuple(f"{leftover_sentence(left)}. {evidence_sentence(left)}" for left in diagnosis.leftover),
         ranking=_ranking(details, catalogue),
-        by_likelihood=answer is not None,
         addable=tuple(e.name for e in diagnosis.effects if not catalogue[e.name].stochastic),
         rows=rows,
         pictures={name: picture_info(picture) for name, picture in shown.items()},

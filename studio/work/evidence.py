@@ -68,7 +68,6 @@ def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
         value=_value(fitted, candidate.key),
         score=tried.score,
         fitted_with=fits.fitted_with,
-        by_likelihood=details.likelihood is not None,
         sliders=tuple(sliders),
         share=_shares(before, after, floor),
         pictures={

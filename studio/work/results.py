@@ -149,14 +149,13 @@ class RankedEffect(msgspec.Struct, frozen=True):
 
 
 class Diagnosed(msgspec.Struct, frozen=True):
-    """A diagnosis in words, its ranking, rows and pictures. by_likelihood: whether the ranking is by the likelihood."""
+    """A diagnosis in words, its ranking, rows and pictures."""
 
     diagnosis: Diagnosis
     sentence: str
     notes: tuple[str, ...]
     leftovers: tuple[str, ...]
     ranking: tuple[RankedEffect, ...]
-    by_likelihood: bool
     addable: tuple[str, ...]
     rows: Rows
     pictures: dict[str, PictureInfo]
@@ -188,7 +187,7 @@ class Evidence(msgspec.Struct, frozen=True):
 
     key: the effect; value: fitted values in words.
     score: as in the ranking.
-    fitted_with: keys of the effects that it was fitted with. by_likelihood: whether by the likelihood.
+    fitted_with: keys of the effects that it was fitted with.
     sliders: of its parameters.
     share: by kind of channel, the part of the squared error above the floor that it explains.
     """
@@ -198,7 +197,6 @@ class Evidence(msgspec.Struct, frozen=True):
     value: str
     score: float | None
     fitted_with: tuple[str, ...]
-    by_likelihood: bool
     sliders: tuple[Slider, ...]
     share: dict[str, float]
     pictures: dict[str, PictureInfo]

@@ -31,8 +31,9 @@ NO_THRESHOLDS = {
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
     "MOSTLY",  # a probability that is not written as 100 %
-    "NODES", "RIGID", "STEP", "LAG_STEP", "SMALL", "PARAMETER_STEP", "START_STEP", "BETWEEN", "SPEEDS", "DOUBLINGS", "MAX_SAVED",  # of arrays, differences, series
+    "NODES", "RIGID", "STEP", "LAG_STEP", "SMALL", "SPEEDS", "DOUBLINGS", "MAX_SAVED",  # of arrays, differences, series
     "MAX_STEP", "FIRST_DAMPING", "MAX_DAMPING",  # of scoring, which ends at the same optimum
+    "PARAMETER_STEP", "START_STEP", "BETWEEN",  # of hidden states: differences, points between a grid's
     "BEFORE_READING",  # where a line has its mean effect
     "FREQUENCIES", "AGREEMENT",  # a component of noise and its own spectrum, to rounding
 }  # fmt: skip

@@ -56,10 +56,10 @@ def _require_evidence(opened: OpenCase, planted: float) -> None:
     assert evidence is not None
     slider, diagnosed = evidence.sliders[0], opened.result(Diagnosed, "diagnose")
     assert diagnosed is not None
-    if diagnosed.by_likelihood:  # the answer's own value and interval, and the odds that name it
-        named = diagnosed.diagnosis.effects[0].parameters["coefficient"]
-        assert (slider.values[slider.best], slider.std) == pytest.approx((named.value, named.std))
-        assert evidence.score == diagnosed.ranking[0].score >= DEFAULT.likelihood.named
+    # the answer's own value and interval, and the odds that name it
+    named = diagnosed.diagnosis.effects[0].parameters["coefficient"]
+    assert (slider.values[slider.best], slider.std) == pytest.approx((named.value, named.std))
+    assert evidence.score == diagnosed.ranking[0].score >= DEFAULT.likelihood.named
     assert slider.values[slider.best] == pytest.approx(planted, rel=0.05)  # N s/m
     errors = [sum(value for value in row if value is not None) for row in slider.rms]
     assert np.argmin(errors) in (slider.best - 1, slider.best, slider.best + 1)
