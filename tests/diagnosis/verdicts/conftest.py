@@ -11,7 +11,6 @@ import pytest
 HERE = Path(__file__).parent
 SENTINELS = (
     "test_additions.py::test_an_effect_that_is_not_there_is_refused_with_its_reason",
-    "test_decided_rotors.py::test_a_cant_on_the_wrong_rotor_is_put_right[x-",
     "test_feedback.py::test_a_log_without_a_pose_that_hides_nothing_is_explained",
     "test_foreign_forces.py::test_a_force_outside_the_catalogue_is_unknown_and_nothing_is_named[dry_drag]",
     "test_foreign_forces.py::test_a_gust_is_one",

@@ -53,6 +53,12 @@ def test_a_lag_in_the_vehicle_file_can_be_wrong(arpl_250g):
     assert effects[0].parameters["time_constant"].value == pytest.approx(true, abs=0.0015)
 
 
+def test_a_right_lag_in_the_file_is_not_doubted(arpl_250g):
+    vehicle = with_lag(arpl_250g, 0.03)
+    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=33), vehicle)
+    assert diagnose_dataset(dataset, vehicle, SENSORS).diagnosis.effects == ()
+
+
 def test_the_interval_of_a_lag_has_the_clocks_of_the_commands_in_it(arpl_250g):
     dataset = make_dataset(commanded(arpl_250g, 0.03, seed=37), arpl_250g)
     regression = make_regression(arpl_250g, SENSORS, dataset.fitted, dataset.flight_of)
