@@ -212,8 +212,7 @@ def _accepted(
     floor = judge.floor(fitted.vehicle)
     fewer = {c.key: left_out(fitted, c, regression.vehicle)[1] for c in fitted.candidates}
     relevance = {key: judge.channel_changes(vehicle, fitted.vehicle, floor) for key, vehicle in fewer.items()}
-    sure = {one.candidate.key: one.probability for one in named}
-    return Accepted(fitted, tuple(refused), relevance, sure, floor)
+    return Accepted(fitted, tuple(refused), relevance, floor)
 
 
 def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit | None) -> tuple[Candidate, ...]:

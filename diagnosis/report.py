@@ -48,9 +48,8 @@ class Considered(msgspec.Struct, frozen=True):
     """An effect of the catalogue as these flights show it.
 
     name, rotor: of the catalogue, and the rotor that it acts on, if any.
-    score: by the likelihood, log of the odds of the named effects with it against those without it, of which 3 name
-        an effect; by the regression, twice the log-likelihood that it gains alone less the criterion's penalty. Null
-        where the values that fit best are physically impossible.
+    score: log of the odds of the named effects with it against those without it, of which 3 name an effect; null where
+        the values that fit best are physically impossible.
     outcome: "named", "refused" (`Diagnosis.refused` has the reason), "not_selected" where others explain the flights
         better or nothing is missing, "impossible".
     """

@@ -1,4 +1,4 @@
-"""From a selection and a fit to the answer: effects with their rivals, the verdict, effects that were not excited."""
+"""From a fit and what it leaves to the answer: the gust beside the effects, the tests that reject, the verdict."""
 
 from __future__ import annotations
 

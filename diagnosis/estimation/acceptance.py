@@ -21,16 +21,14 @@ class Accepted:
     """The effects that are named.
 
     fit: of them.
-    refused: what was selected and is not among them.
+    refused: what was likely or taken back, and is not among them.
     relevance: by an effect's key and kind of channel, held-out error without it (`before`) and with it (`after`).
-    agreement: share of flight resamples that name it or one that the flights cannot tell from it, by key.
     floor: (12,) noise floor of the held-out flights.
     """
 
     fit: Fit
     refused: tuple[Refused, ...]
     relevance: Mapping[str, Mapping[str, ErrorChange]]
-    agreement: Mapping[str, float]
     floor: Floats
 
 

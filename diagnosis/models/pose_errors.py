@@ -53,11 +53,6 @@ class PoseErrors:
         density[channels.ATTITUDE_RATE] += squared * tilt
         return np.asarray(density)
 
-    def resembles(self, other: PoseErrors) -> bool:
-        """Whether the greatest slopes of both are alike."""
-        own, others = (0.0 if one.slopes is None else float(np.max(one.slopes)) for one in (self, other))
-        return max(own, others) <= self.thresholds.max_slope_change * min(own, others)
-
     def as_gust(self, corner: float) -> float:
         """Intensity, m/s, of a gust with this corner, Hz, that is as dense as the velocity's error at low frequencies.
 

@@ -137,15 +137,6 @@ class Regression:
         return self.saturated[segment.digest]
 
     @property
-    def explained(self) -> float:
-        """Reduced chi-square at which nothing is left to explain.
-
-        Of an estimator's pose, whose errors are known in size and time by about a half, that of a typical window.
-        """
-        limits = self.thresholds.search
-        return limits.still_explained if self.pose.there else limits.explained
-
-    @property
     def flights(self) -> range:
         """The flights by number."""
         return range(len(self.gram))
@@ -170,10 +161,6 @@ class Regression:
             return np.zeros(0), 0.0
         theta, gain = solved(*self._free_of_shared(where, plain=plain))
         return theta, float(gain)
-
-    def summed(self) -> tuple[Floats, Floats]:
-        """(k, k) and (k,) normal equations of all columns, summed over flights, with what these share marginalised."""
-        return marginal(*self._sums(range(len(self.product[0]))), self.shared)
 
     def nuisance_values(self, chosen: Sequence[int]) -> Floats:
         """Coefficients of what the flights share, beside the chosen columns."""

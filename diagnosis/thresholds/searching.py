@@ -1,4 +1,4 @@
-"""Thresholds of the search of effects: the regression, its rivals, a gust, and what residuals still hold."""
+"""Thresholds of the regression by which residuals are tested: its equations, a gust, and what residuals still hold."""
 
 from __future__ import annotations
 
@@ -25,23 +25,17 @@ class RegressionThresholds(ThresholdGroup, frozen=True):
 
 
 class SearchThresholds(ThresholdGroup, frozen=True):
-    """Forward search over candidates. A score is twice the log-likelihood gained, less the criterion's penalty.
+    """When a gust is claimed. A score is twice the log-likelihood gained, less the criterion's penalty.
 
-    min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
-    where nothing is hidden]
-    relevant: gain over the number of whitened residuals below which an effect does not matter: a tenth of
+    min_gain: score below which none is. [planted truth: feedback makes inertia reach 29 where nothing is hidden]
+    relevant: gain over the number of whitened residuals below which it does not matter: a tenth of
     2 % of the floor of one kind of four. [margins: neither]
-    explained: reduced chi-square of the fitted flights at which no further round is needed. [margins: neither]
-    still_explained: of that search, up to which it counts, and of named effects, up to which rivals that need less are
-    sought. [definition: that of a typical window that is explained]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
     min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
     """
 
     min_gain: Score = 40.0
     relevant: Share = 0.001
-    explained: Factor = 1.05
-    still_explained: Factor = 1.5
     amplitude: Range = (0.4, 1.9)
     min_gust_share: Share = 0.03
 

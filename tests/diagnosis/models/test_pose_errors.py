@@ -133,19 +133,6 @@ def test_how_an_estimators_attitude_differs_from_the_gyro_tells_nothing_of_the_m
     assert typical_chi_square(rows, estimated) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_model_with_more_drag_has_other_errors(arpl_250g):
-    (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=0)
-    estimated = dataclasses.replace(segment, pose_source="estimator")
-
-    def of_drag(coefficient):
-        use = EffectUse("linear_drag", {"coefficient": coefficient})
-        return pose_errors([estimated], Predictor(arpl_250g, [use], CATALOGUE, speed_measured=True))
-
-    assert of_drag(0.5).resembles(of_drag(0.55))
-    assert not of_drag(0.5).resembles(of_drag(1.0))
-    assert not of_drag(1.0).resembles(of_drag(0.5))
-
-
 @pytest.fixture(scope="module")
 def estimated_flights(tmp_path_factory):
     """Slow flights of a vehicle of the outside simulator as PX4 logs them, with twice the drag of its file."""
