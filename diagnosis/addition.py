@@ -171,7 +171,7 @@ def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, p
             "constant, without voltage no sag. `alula diagnose` lists what they can show."
         )
     answer = answer_by_likelihood(first, dataset, progress, one_of=able)
-    if answer.named:
+    if able & {one.candidate.identity for one in answer.named}:
         return answer
     search = answer.search
     odds = max(search.score([i]).evidence for i, c in enumerate(search.what.all) if c.identity in able)

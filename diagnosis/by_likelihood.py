@@ -82,7 +82,7 @@ def answer_by_likelihood(
     """Which effects are missing.
 
     first: the regression about the vehicle's own model, with which they are tested. one_of: effects, each on a rotor
-    or none, of which one may be missing; by default all of the catalogue may.
+    or none, of which one may be missing beside corrections of the file's own; by default all of the catalogue may.
     Raises DataError where no stationary filter has such readings.
     """
     problems = likelihood_problems(dataset, first)

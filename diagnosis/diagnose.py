@@ -154,12 +154,11 @@ def _answered(
     """The likelihood's answer, what is left of the flights with it, (m, 12) held-out residuals without, and the effects
     with the gust beside them."""
     answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.8))
-    regression = answer.regression
     before = residuals_in(first, fit(first, ()).vehicle, dataset.held_out)  # with biases by noise about no effects
     judgement = _Judgement(first, answer, dataset, before)
     progress(0.8, "tests of what remains")
     judged = judgement.of(answer)
-    while refuted := drifting_effects(regression, answer.accepted.fit, judged.fitted):
+    while refuted := _drifting(answer, judged):
         answer = answer.without(refuted, dataset)
         judged = judgement.of(answer)
     effects = (
@@ -168,6 +167,12 @@ def _answered(
         else answer.missing()
     )
     return answer, judged, before, effects
+
+
+def _drifting(answer: LikelihoodAnswer, judged: _Judged) -> tuple[Refused, ...]:
+    """Effects without one value."""
+    rejected = bool(judged.rejected)
+    return drifting_effects(answer.regression, answer.accepted.fit, judged.fitted, rejected=rejected)
 
 
 def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:

@@ -51,8 +51,9 @@ def next_reference(
 
 
 def _shows_in_a_manoeuvre(effect: Effect) -> bool:
-    excitation = effect.excitation
-    return not effect.stochastic and (
+    """Whether a planned flight can be better for it: of logs with commands, which show no reading of the rotors."""
+    excitation, of_readings = effect.excitation, effect.acts_on in ("rotor_speed_reading", "rotor_clock")
+    return not (effect.stochastic or of_readings) and (
         excitation is None or excitation.measure not in ("", "voltage_drop", "low_flight")
     )
 

@@ -12,14 +12,17 @@ from diagnosis.selection.regression import Regression
 from dynamics.arrays import Floats
 
 
-def drifting_effects(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:
-    """Effects of a fit that beyond doubt have no one value: their form stands in for another one.
+def drifting_effects(
+    regression: Regression, fitted: Fit, rows: Sequence[Floats], *, rejected: bool
+) -> tuple[Refused, ...]:
+    """Effects of a fit that have no one value: their form stands in for another one.
 
-    rows: (m, 12) its residuals.
+    rows: (m, 12) its residuals. rejected: whether a test of these rejects; where none does, the difference of the
+    values must be beyond doubt.
     """
     limits, by_key = regression.thresholds.consistency, drifts(regression, fitted, rows)
     return tuple(
         refused_of(fitted, candidate, "drifts", share=drift.share, deviations=drift.deviations)
         for candidate in fitted.candidates
-        if (drift := by_key[candidate.key]).refutes(limits)
+        if (drift := by_key[candidate.key]).refutes(limits) or (rejected and drift.matters(limits))
     )

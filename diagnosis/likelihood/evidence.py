@@ -208,12 +208,13 @@ class Search:
 
     kinds: flights of one kind of logs each. problem: of the first; candidates and their values are those of all.
     total, coarse: sums of the likelihood, and of its share that counts as evidence. one_of: candidates of which one at
-    most is there, none but these; by default all may be.
+    most is there, beside corrections of the vehicle file's own effects; by default all may be.
     """
 
     def __init__(self, kinds: Sequence[Kind], *, settled: bool, one_of: Collection[int] | None = None) -> None:
         problem = kinds[0].problem
-        self._greatest_count = problem.thresholds.max_effects if one_of is None else 1
+        self._one_of = one_of
+        own = {(use.name, use.rotor) for use in problem.vehicle.effects}
         seconds = sum(len(rows) * rows.period for kind in kinds for rows in kind.problem.flights)
         share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.problem, self.what = problem, problem.what
@@ -229,7 +230,7 @@ class Search:
         self.able = [
             i
             for i, places in enumerate(self.columns)
-            if (one_of is None or i in one_of)
+            if (one_of is None or i in one_of or self.what.all[i].identity in own)
             and places[-1] < len(size)
             and np.all(size[places] > 0)
             and np.all(np.isfinite(size[places]))
@@ -238,7 +239,7 @@ class Search:
         self._scored: dict[tuple[int, ...], Scored] = {}
 
     def score(self, members: Sequence[int]) -> Scored:
-        """A set's score; impossible where two of its members are one effect, or a value is out of its bounds."""
+        """A set's score; impossible where two of its members are one effect, or a value is far out of its bounds."""
         key = tuple(sorted(members))
         if key not in self._scored:
             self._scored[key] = self._score(key)
@@ -251,6 +252,8 @@ class Search:
         nothing = Scored(members, IMPOSSIBLE, np.zeros(len(c)), np.zeros((len(c), len(c))))
         if len({self.what.all[i].identity for i in members}) < len(members):
             return nothing
+        if self._one_of is not None and sum(i in self._one_of for i in members) > 1:
+            return nothing
         std = self.std[c]
         M, coarse = (s.M[np.ix_(c, c)] * std * std[:, None] + np.eye(len(c)) for s in (self.total, self.coarse))
         try:
@@ -260,28 +263,34 @@ class Search:
         values = covariance @ (self.total.g[c] * std) * std
         half = np.linalg.solve(cholesky, self.coarse.g[c] * std)
         evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
-        if not self._possible(members, values):
+        slack = np.sqrt(np.diag(np.linalg.inv(coarse))) * std * self.problem.thresholds.bound_slack
+        possible = self._within(members, values, slack)
+        if possible is None:
             return nothing
-        return Scored(members, float(evidence), values, covariance * std * std[:, None])
+        return Scored(members, float(evidence), possible, covariance * std * std[:, None])
 
-    def _possible(self, members: tuple[int, ...], values: Floats) -> bool:
-        first = 0
+    def _within(self, members: tuple[int, ...], values: Floats, slack: Floats) -> Floats | None:
+        """Values (c,) within the parameters' bounds, at one that they exceed by no more than their slack (c,); None
+        where one exceeds it by more, or a fixed shape is none."""
+        within, first = values.copy(), 0
         for i in members:
             candidate = self.what.all[i]
             if not candidate.free:
                 lag = next(p for p in candidate.effect.parameters if p.name == candidate.effect.time_constants[0])
                 lowest, highest = (lag.lower, lag.upper) if i in self.problem.fitted else DEFAULT.search.amplitude
                 if not lowest < values[first] < highest:
-                    return False
+                    return None
                 first += 1
                 continue
             for name in candidate.free:
                 parameter = next(p for p in candidate.effect.parameters if p.name == name)
-                value = candidate.at[name] + values[first]
-                if not parameter.lower - 1e-12 <= value <= parameter.upper + 1e-12:
-                    return False
+                within[first] = np.clip(
+                    values[first], parameter.lower - candidate.at[name], parameter.upper - candidate.at[name]
+                )
+                if abs(within[first] - values[first]) > slack[first] + 1e-12:
+                    return None
                 first += 1
-        return True
+        return within
 
     def places(self, scored: Scored) -> list[int]:
         """Columns of a set's members, in their order."""
@@ -312,7 +321,7 @@ class Search:
         members = here.members
         sets = [members[:j] + members[j + 1 :] for j in range(len(members))]
         rest = [i for i in self.able if i not in members]
-        if len(members) < self._greatest_count:
+        if len(members) < self.problem.thresholds.max_effects:
             sets += [(*members, i) for i in rest]
         sets += [(*members[:j], i, *members[j + 1 :]) for j in range(len(members)) for i in rest]
         return [self.score(one) for one in sets]

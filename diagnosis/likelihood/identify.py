@@ -35,7 +35,8 @@ def identify(
     """The best set of effects.
 
     problems: of the same candidates, one for each kind of logs. structures: of the noise, among which the likelihood
-    decides; by default all that a kind may have. one_of: numbers of candidates of which one at most is there.
+    decides; by default all that a kind may have. one_of: numbers of candidates of which one at most is there,
+    beside corrections of the vehicle file's own effects.
     """
     t = problems[0].thresholds
     progress(0.0, "the noise of the flights")

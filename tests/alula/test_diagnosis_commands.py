@@ -86,14 +86,13 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
         "next_reference",
         "command_gain",
         "in_flight",
-        "method",
         "alula_version",
     }
     assert set(verdict) == contract | added
     assert "mass" in [one["name"] for one in verdict["candidates"][:3]]
     assert verdict["verdict"] in ("effect", "ambiguous")
     first = verdict["effects"][0]
-    assert set(first) == {"name", "rotor", "parameters", "confidence", "ambiguous_with"}
+    assert set(first) == {"name", "rotor", "parameters", "confidence", "ambiguous_with", "by_resamples"}
     assert "mass" in [first["name"], *first["ambiguous_with"]]
     mocap = verdict["channels"]["mocap"]
     assert set(mocap) == {"before", "after", "floor", "unit", "sensors", "fast_remainder"}

@@ -111,7 +111,7 @@ def test_a_load_is_named_with_its_mass_and_length():
     problem = problem_of("single", "slung_load", 99000)
     mass, length = 0.0084031, 0.52363  # what the outside simulator hung below
     result = identify([problem])
-    (load,) = named_effects(result)
+    (load,), _ = named_effects(result)
     assert load.candidate.effect.name == "slung_load"
     values = result.search.named_values(result.best)[load.number]
     off = np.array([values["mass"] - mass, values["length"] - length])

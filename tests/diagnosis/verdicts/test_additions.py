@@ -95,14 +95,8 @@ def test_what_is_too_small_to_matter_is_listed_and_not_named(plain, arpl_250g):
     assert not refused.is_hint
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("axial_inflow", r"(too small to matter.* from [\d.e-]+ to [\d.e-]+|at its physical bound)"),
-        ("inertia", r"too small to matter.* from [\d.e-]+ to [\d.e-]+"),
-        ("imu_bias", r"too small to matter.* from [\d.e-]+ to [\d.e-]+"),
-    ],
-)
-def test_an_effect_that_is_not_there_is_refused_with_its_reason(plain, arpl_250g, name, reason):
-    with pytest.raises(DataError, match=rf"{name} was not added: .*{reason}"):
+@pytest.mark.parametrize("name", ["axial_inflow", "inertia", "imu_bias"])
+def test_an_effect_that_is_not_there_is_refused_with_its_reason(plain, arpl_250g, name):
+    reason = r"these flights make it [\d.e-]+ times as likely as not, and 20 times are required"
+    with pytest.raises(DataError, match=rf"{name} was not added: {reason}"):
         add_effect(name, plain, arpl_250g, SOME, date="2026-01-02")
