@@ -270,8 +270,11 @@ class Search:
         return Scored(members, float(evidence), possible, covariance * std * std[:, None])
 
     def _within(self, members: tuple[int, ...], values: Floats, slack: Floats) -> Floats | None:
-        """Values (c,) within the parameters' bounds, at one that they exceed by no more than their slack (c,); None
-        where one exceeds it by more, or a fixed shape is none."""
+        """Values (c,) within the parameters' bounds; None where one exceeds them, or a fixed shape is none.
+
+        The vehicle file may name an effect that does not exist: one of its own, which noise carries over a bound by no
+        more than its slack (c,), stays there.
+        """
         within, first = values.copy(), 0
         for i in members:
             candidate = self.what.all[i]
@@ -287,7 +290,7 @@ class Search:
                 within[first] = np.clip(
                     values[first], parameter.lower - candidate.at[name], parameter.upper - candidate.at[name]
                 )
-                if abs(within[first] - values[first]) > slack[first] + 1e-12:
+                if abs(within[first] - values[first]) > 1e-12 + (0.0 if candidate.present is None else slack[first]):
                     return None
                 first += 1
         return within

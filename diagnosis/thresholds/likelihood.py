@@ -27,8 +27,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     named: log of the odds of the best set against that without an effect, from which on it is named; within it
         others are as likely in its place. [convention: 20 to 1]
     max_effects: in one set. [convention]
-    bound_slack: of a value in its stated deviations, by which noise may carry it over a bound, where it then stays.
-        [convention: 95 %]
+    bound_slack: of a value of the file's own effects, in its stated deviations, by which noise may carry it over a
+        bound, where it then stays. [convention: 95 %]
     min_improvement: of the log-evidence, below which no step is taken. [formula: rounding ends no search]
     """
 
