@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -223,12 +223,5 @@ def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit |
     made = []
     for one in sorted(named, key=lambda each: each.number):
         same = [c for c in regression.candidates if c.identity == one.candidate.identity]
-        distances = [_distance(c, one.candidate.at) for c in same]
-        made.append(same[int(np.argmin(distances))])
+        made.append(min(same, key=lambda c: c.distance(one.candidate.at)))
     return tuple(made)
-
-
-def _distance(candidate: Candidate, at: Mapping[str, float]) -> float:
-    """How far a candidate's held values are from others, relatively."""
-    held = [name for name in candidate.at if name not in candidate.free]
-    return sum(abs(candidate.at[name] - at[name]) / (abs(at[name]) + 1e-9) for name in held)

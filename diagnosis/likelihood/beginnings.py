@@ -13,13 +13,12 @@ import numpy as np
 
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.rigid_body import OUTPUTS, Along, FlightModel
+from diagnosis.models.free_start import posterior_step
 from diagnosis.selection.candidates import Candidate
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
-
-TINY = 1e-12
 
 
 def beginning(
@@ -65,7 +64,7 @@ def beginning(
             here = pushed(off, n)
             step = limits.free_start_difference
             slopes = np.stack([(pushed(off + row, n) - here) / step for row in step * np.eye(len(off))], axis=2)
-            change = _posterior_step(np.concatenate([slopes, errors[:n]], axis=2), left[:n] - here, off)
+            change = posterior_step(np.concatenate([slopes, errors[:n]], axis=2), left[:n] - here, off)
             off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
             off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
     columns = np.concatenate([pushed(off, len(rows))[:, :, None], errors], axis=2).reshape(-1, 8)
@@ -87,19 +86,3 @@ def _nuisances(along: Along, base: Floats) -> Floats:
     air, axes = np.einsum("tji,tj->ti", along.rotation, along.velocity), np.eye(3)
     bias = np.broadcast_to(axes, (len(base), 3, 3))
     return np.concatenate([bias, air[:, :, None] * axes, base[:, :, None]], axis=2)
-
-
-def _posterior_step(columns: Floats, left: Floats, off: Floats) -> Floats:
-    """(k,) Gauss-Newton step of values that are (k,) `off` from their prior's mean, in its standard deviations.
-
-    columns: (N, 3, k + j) of these and of j nuisances without a prior. left: (N, 3) that they explain.
-    """
-    a, y, count = columns.reshape(-1, columns.shape[2]), left.ravel(), len(off)
-    if not (np.isfinite(a).all() and np.isfinite(y).all()):
-        return np.zeros(count)
-    gram, product = a.T @ a, a.T @ y
-    gram += 1e-9 * np.diag(np.diag(gram)) + TINY * np.eye(len(gram))
-    noise = np.mean((y - a @ np.linalg.solve(gram, product)) ** 2)
-    gram[:count, :count] += noise * np.eye(count)
-    product[:count] -= noise * off
-    return np.asarray(np.linalg.solve(gram, product)[:count])

@@ -133,7 +133,8 @@ def nuisances(segment: Segment) -> tuple[Nuisance, ...]:
     own += [Nuisance("clock", 0, clock, "flight"), Nuisance("attitude_clock", 0, turn, "flight")]
     if segment.rotor_source == "measured":
         own.append(Nuisance("rotor_clock", 0, priors.CLOCK, "flight"))
-        own.append(Nuisance("rotor_clock", 0, priors.HOLD / segment.rate, "always"))
+        if segment.rotor_share is None:  # where it is told from the flights, a segment's speeds are their mean already
+            own.append(Nuisance("rotor_clock", 0, priors.HOLD / segment.rate, "always"))
     blocks = [Nuisance(kind, i, priors.DISCREPANCY, "block") for kind in ("force", "turning") for i in range(3)]
     return (*own, *blocks)
 
@@ -209,18 +210,11 @@ def inputs(
     uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
     only: candidates of which columns are chosen; those of others are zero. starts: of hidden states.
     """
-    N, K = len(rows), what.width
     count = along.speed.shape[1]
-    acting, readings = np.zeros((K, N, 6)), np.zeros((K, N, 12 + count))  # of KINDS
+    acting, readings = np.zeros((what.width, len(rows), 6)), np.zeros((what.width, len(rows), 12 + count))  # of KINDS
     chosen = list(range(len(what.all)) if only is None else only)
-    by_rotor = along.by_rotor
 
-    def of_rotors(column: int, speeds: Floats) -> None:
-        moved = np.einsum("tar,tr->ta", by_rotor, speeds)
-        acting[column] += moved
-        readings[column, :, 9:12] += moved[:, :3]
-
-    def of_outputs(columns: Sequence[int], slopes: Floats) -> None:
+    def set_outputs(columns: Sequence[int], slopes: Floats) -> None:
         acting[columns] = slopes[:, :, :6]
         for place, kind in enumerate(KINDS[:4]):
             readings[columns, :, 3 * place : 3 * place + 3] = slopes[:, :, OUTPUTS[kind]]
@@ -229,31 +223,37 @@ def inputs(
         )
 
     for layer in _layers(what, chosen, vehicle, catalogue):
-        merged, free, columns = {f"{u.name}[{u.rotor}]": u for u in uses}, [], []
+        merged, free, columns = {(u.name, u.rotor): u for u in uses}, [], []
         for i in layer:
             candidate = what.all[i]
             values = {**candidate.at, **fitted.get(i, {})}
-            merged[f"{candidate.effect.name}[{candidate.rotor}]"] = EffectUse(
-                candidate.effect.name, values, candidate.rotor
-            )
+            merged[candidate.identity] = EffectUse(candidate.effect.name, values, candidate.rotor)
             free += [f"{candidate.key}.{name}" for name in candidate.free]
             columns += what.places(i)
         model = FlightModel(vehicle, list(merged.values()), catalogue)
-        of_outputs(columns, _slopes(model, rows, along, starts.of(layer), free))
+        set_outputs(columns, _slopes(model, rows, along, starts.of(layer), free))
     for i in chosen:
-        candidate = what.all[i]
-        if candidate.effect.rotor_speed is None:
-            continue
-        column = what.places(i)[0]
-        if candidate.free or i in fitted:
-            of_rotors(column, np.zeros_like(along.speed) if along.lag is None else rows.slope_in_lag(along.lag))
-        else:
-            lagged = rows.rotor_speed(candidate.at[candidate.effect.time_constants[0]])
-            of_rotors(column, lagged - rows.rotor_speed(None))
+        if what.all[i].effect.rotor_speed is not None:
+            moved = np.einsum("tar,tr->ta", along.by_rotor, _moved_speeds(rows, along, what.all[i], i in fitted))
+            acting[what.places(i)] += moved
+            readings[what.places(i), :, 9:12] += moved[:, :3]
     unknown = {n.of: i for i, n in enumerate(what.nuisances, len(what.columns)) if n.kind == "start"}
     if unknown:
         own = FlightModel(vehicle, uses, catalogue)
-        of_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
+        set_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
+    _set_errors(what, along, acting, readings)
+    return _over_rows(rows, acting, readings)
+
+
+def _moved_speeds(rows: FlightRows, along: Along, lag: Candidate, in_model: bool) -> Floats:
+    """(N, rotors) change of the rotors' speeds by a unit of a lag, or by all of one of a fixed shape."""
+    if lag.free or in_model:
+        return np.zeros_like(along.speed) if along.lag is None else rows.slope_in_lag(along.lag)
+    return rows.rotor_speed(lag.at[lag.effect.time_constants[0]]) - rows.rotor_speed(None)
+
+
+def _set_errors(what: Candidates, along: Along, acting: Floats, readings: Floats) -> None:
+    """Set the inputs of the errors that every log has. acting: (k, N, 6). readings: (k, N, 12 + rotors)."""
     for column, nuisance in enumerate(what.nuisances, len(what.columns)):
         kind, place = nuisance.kind, nuisance.place
         if kind == "gyro":
@@ -273,7 +273,6 @@ def inputs(
             motion = along.force if kind == "force" else along.turning
             acting[column, :, (3 if kind == "turning" else 0) + place] = motion[:, place] - motion[:, place].mean()
             readings[column, :, 9 + place] = acting[column, :, place] if kind == "force" else 0.0
-    return _over_rows(rows, acting, readings)
 
 
 def _slopes(

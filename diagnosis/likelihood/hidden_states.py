@@ -6,19 +6,17 @@ them beyond the motion that is seen is left to the noise of the filter.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.models.batched_function import Recurrence
+from diagnosis.models.hidden_path import advance, between, pace_of
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.effect import Expression
-from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, lag_places, relaxation_of
 from dynamics.model import Model
 from dynamics.state import HIDDEN, RIGID_BODY_STATES
 
@@ -84,7 +82,7 @@ class HiddenStates:
         with np.errstate(all="ignore"):
             advance = self._functions.advance(steps)
             path = np.vstack([start, advance(start, here[:-1], here[1:], values, np.array([stride * period]))])
-        return path if stride == 1 else _between(path, stride, len(driving))
+        return between(path, stride, len(driving))
 
 
 class _Functions:
@@ -92,34 +90,18 @@ class _Functions:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._lags, self._bounding = lag_places(model)
+        self._pace = pace_of(model)
         row = ca.SX.sym("row", RIGID_BODY_STATES + model.input_count + 2)
         hidden, p = ca.SX.sym("h", model.hidden_count), ca.SX.sym("p", len(model.parameter_names))
         moving = ca.which_depends(self._slope(row, hidden, p), p, 1, False)
         self.parameters = {name for name, moves in zip(model.parameter_names, moving, strict=True) if moves}
-        self.advance = lru_cache(self._made)
+        self.advance = lru_cache(partial(advance, model, self._slope))
 
     def steps(self, period: float, values: Floats) -> tuple[int, int | None]:
         """Rows from one step to the next, and integration steps between them, None if more than are taken."""
         limits = DEFAULT.prediction
-        slowest = min((values[place] for place in self._lags), default=np.inf) * limits.hidden_rate
-        stride = 1 if slowest < 1 else max(1, int(1 / (period * limits.hidden_rate)))
-        lag = min((values[place] for place in self._bounding), default=np.inf)
-        required = max(1, math.ceil(stride * period / (MAX_STEP_IN_LAGS * lag))) if lag > 0 else limits.max_substeps + 1
-        return stride, required if required <= limits.max_substeps else None
-
-    def _made(self, steps: int) -> Recurrence:
-        """(hidden, before, after, p, dt) -> hidden states one stride later; between rows motion is linear."""
-        model = self._model
-        width = RIGID_BODY_STATES + model.input_count + 2
-        before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
-        h, p = ca.SX.sym("h", model.hidden_count), ca.SX.sym("p", len(model.parameter_names))
-
-        def slope(hidden: Expression, share: float) -> Expression:
-            return self._slope((1 - share) * before + share * after, hidden, p)
-
-        following = exponential_steps(slope, h, relaxation_of(slope(h, 0.0), h), dt, steps=steps)
-        return Recurrence(ca.Function("advance", [h, before, after, p, dt], [following]), shared=(3, 4))
+        stride = self._pace.stride(1 / period, values, limits)
+        return stride, self._pace.substeps(stride * period, values, limits)
 
     def _slope(self, row: Expression, hidden: Expression, p: Expression) -> Expression:
         """(h,) derivative of the hidden states."""
@@ -138,11 +120,3 @@ def _functions_of(model: Model) -> _Functions:
             _functions.clear()
         _functions[model.structure] = _Functions(model)
     return _functions[model.structure]
-
-
-def _between(values: Floats, stride: int, count: int) -> Floats:
-    """(count, k) values (m, k) of every stride-th row, linear between them, the last one held."""
-    place = np.minimum(np.arange(count) / stride, len(values) - 1)
-    before = np.minimum(place.astype(int), len(values) - 2)
-    share = (place - before)[:, None]
-    return np.asarray((1 - share) * values[before] + share * values[before + 1])

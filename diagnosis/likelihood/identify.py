@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.likelihood.evidence import Kind, Scored, Search, present
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Kind, Scored, Search, present
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
 from diagnosis.thresholds import DEFAULT
@@ -31,12 +31,14 @@ def identify(
     progress: Progress = no_progress,
     *,
     one_of: Collection[int] | None = None,
+    fixed_set: Sequence[int] | None = None,
 ) -> Identified:
     """The best set of effects.
 
     problems: of the same candidates, one for each kind of logs. structures: of the noise, among which the likelihood
     decides; by default all that a kind may have. one_of: numbers of candidates of which one at most is there,
-    beside corrections of the vehicle file's own effects.
+    beside corrections of the vehicle file's own effects. fixed_set: numbers of the candidates of a set whose values
+    are sought instead; if these are impossible, so is what is returned.
     """
     t = problems[0].thresholds
     progress(0.0, "the noise of the flights")
@@ -48,7 +50,9 @@ def identify(
         kinds = [_informed(one, noise, first=number == 0) for one, noise in zip(problems, noises, strict=True)]
         settled = number >= t.settled_rounds and (step < t.near or number == t.rounds - 1)
         search = Search(kinds, settled=settled, one_of=one_of)
-        best = search.best(members)
+        best = search.best(members) if fixed_set is None else search.score(fixed_set)
+        if best.evidence == IMPOSSIBLE:
+            break
         values = search.named_values(best)
         step = value_step(search, best)
         same = set(best.members) == set(members)

@@ -36,10 +36,7 @@ SPEEDS = 18
 # of a period after the row before: where a line has its effect on a rate that is read in the middle of a row (3/4), or
 # as its mean (5/6)
 BEFORE_READING = 0.8
-START_STEP, PARAMETER_STEP = (
-    0.05,
-    1e-3,
-)  # deviations of a start, and relative, for slopes of hidden states by differences
+START_STEP, PARAMETER_STEP = 0.05, 1e-3  # deviations, and relative: of differences for slopes of hidden states
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 

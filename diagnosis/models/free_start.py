@@ -117,7 +117,7 @@ class FreeStart:
         (off, columns), part = near, _first(segment, self.thresholds.free_start_durations[-1])
         for _ in range(self.thresholds.free_start_steps):
             left = channels.measured(part)[:, _channel(part)] - self._forces_from(part, values, [off])[0]
-            off = self._stepped(off, _posterior_step(columns, left, off))
+            off = self._stepped(off, posterior_step(columns, left, off))
         return off
 
     def _is_moving(self, segment: Segment, absent: Mapping[str, float]) -> bool:
@@ -157,7 +157,7 @@ class FreeStart:
             without = self._thrust(part, self._absent(values))
             columns = np.stack([*slopes, *_nuisances(part, without)], axis=2)
             left = channels.measured(part)[:, _channel(part)] - here
-            off = self._stepped(off, _posterior_step(columns, left, off))
+            off = self._stepped(off, posterior_step(columns, left, off))
         return off, columns
 
     def _stepped(self, off: Floats, change: Floats) -> Floats:
@@ -227,7 +227,7 @@ def _nuisances(segment: Segment, thrust: Floats) -> list[Floats]:
     return [*(np.tile(axis, (len(thrust), 1)) for axis in axes), *(air * axis for axis in axes), thrust]
 
 
-def _posterior_step(columns: Floats, left: Floats, off: Floats) -> Floats:
+def posterior_step(columns: Floats, left: Floats, off: Floats) -> Floats:
     """(k,) Gauss-Newton step of values that are (k,) `off` from their prior's mean, in its standard deviations.
 
     columns: (m, 3, k + j) of these and of j nuisances without a prior. left: (m, 3) that they explain.

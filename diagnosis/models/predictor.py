@@ -6,9 +6,8 @@ rotor speeds) and applied where the model predicts a reading (specific force).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import msgspec
@@ -17,12 +16,12 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import Recurrence, RowFunction
 from diagnosis.models.free_start import FreeStart
+from diagnosis.models.hidden_path import advance, between, pace_of
 from diagnosis.models.prediction import Prediction
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
-from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, lag_places, relaxation_of
 from dynamics.kinematics import lever_arm_acceleration
 from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
@@ -218,15 +217,13 @@ class Predictor:
 
     def substeps(self, period: float, p: Floats) -> int | None:
         """Integration steps over a period, s, that hidden states need; None if more than are taken."""
-        lag = min((p[place] for place in self._functions.step_bounds), default=np.inf)
-        required = max(1, math.ceil(period / (MAX_STEP_IN_LAGS * lag)))
-        return required if required <= self._thresholds.max_substeps else None
+        return self._functions.pace.substeps(period, p, self._thresholds)
 
     def _stride(self, segment: Segment, p: Floats) -> int:
-        """Rows from one step of the hidden states to the next: all where they are fast."""
-        slowest = min((p[place] for place in self._functions.lags), default=np.inf) * self._thresholds.hidden_rate
-        fast = bool(self.model.rotor_speed_places) or slowest < 1
-        return 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
+        """Rows from one step of the hidden states to the next: all where they are fast, or the rotors'."""
+        if self.model.rotor_speed_places:
+            return 1
+        return self._functions.pace.stride(segment.rate, p, self._thresholds)
 
     def _hidden(self, segment: Segment, p: Floats, initial: Floats) -> Floats:
         """(n, h) hidden states along the segment, from (h,) initial ones."""
@@ -238,7 +235,7 @@ class Predictor:
         period = np.array([stride / segment.rate])
         with np.errstate(all="ignore"):
             hidden = np.vstack([initial, self._functions.advance(count)(initial, here[:-1], here[1:], p, period)])
-        return hidden if stride == 1 else _between(hidden, stride, len(segment))
+        return between(hidden, stride, len(segment))
 
 
 def _by_prediction(columns: Floats) -> Floats:
@@ -262,7 +259,7 @@ class _Functions:
         ages = ca.densify(_ages(model, self._symbols["p"]))
         self._ages = np.array(ca.DM(ages)).ravel() if ages.is_constant() else None  # where no effect has one
         self._ages_at = ca.Function("ages", [self._symbols["p"]], [ages])
-        self.lags, self.step_bounds = lag_places(model)
+        self.pace = pace_of(model)
         self.hidden_slope, self.hidden_parameters = _hidden_slope_text(model)
         self._advances: dict[int, Recurrence] = {}
 
@@ -292,7 +289,7 @@ class _Functions:
     def advance(self, count: int) -> Recurrence:
         """The hidden states one row later, in `count` steps."""
         if count not in self._advances:
-            self._advances[count] = Recurrence(_advance(self._model, self._symbols, count), shared=(3, 4))
+            self._advances[count] = advance(self._model, partial(_hidden_slope, self._model), count)
         return self._advances[count]
 
 
@@ -330,14 +327,6 @@ def _hidden_slope(model: Model, row: Expression, hidden: Expression, p: Expressi
 def _places(entries: slice) -> range:
     """Places of a hidden state, of which `entries` of the state are, among the hidden ones."""
     return range(entries.start - RIGID_BODY_STATES, entries.stop - RIGID_BODY_STATES)
-
-
-def _between(values: Floats, stride: int, count: int) -> Floats:
-    """(count, k) values (m, k) of every stride-th row, linear between them, the last one held."""
-    place = np.minimum(np.arange(count) / stride, len(values) - 1)
-    before = np.minimum(place.astype(int), len(values) - 2)
-    share = (place - before)[:, None]
-    return np.asarray((1 - share) * values[before] + share * values[before + 1])
 
 
 def _symbols(model: Model) -> dict[str, Expression]:
@@ -407,19 +396,3 @@ def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
     at_pose = force + lever_arm_acceleration(arm, smooth_rate, turning)
     of_gyro = quaternion.rotate_inverse(gyro_axes, _gyro_gain(model, p) @ angular)
     return ca.vertcat(read, of_gyro, gyro, quaternion.rotate(late, at_pose))
-
-
-def _advance(model: Model, s: Mapping[str, Expression], count: int) -> ca.Function:
-    """(hidden, before, after, p, dt) -> hidden states one row later, in `count` steps between the rows' motion.
-
-    Between two rows motion and rotors' speeds or commands change linearly.
-    """
-    width = RIGID_BODY_STATES + model.input_count + 2
-    before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
-    h, p = ca.SX.sym("h", model.hidden_count), s["p"]
-
-    def slope(hidden: Expression, share: float) -> Expression:
-        return _hidden_slope(model, (1 - share) * before + share * after, hidden, p)
-
-    following = exponential_steps(slope, h, relaxation_of(slope(h, 0.0), h), dt, steps=count)
-    return ca.Function("advance", [h, before, after, p, dt], [following])

@@ -81,6 +81,11 @@ class Candidate:
         """The values about which it is linear, by the model's names."""
         return {f"{self.key}.{name}": value for name, value in self.use().parameters.items()}
 
+    def distance(self, values: Mapping[str, float]) -> float:
+        """How far the values that are held are from others, relatively."""
+        held = [name for name in self.at if name not in self.free]
+        return sum(abs(self.at[name] - values[name]) / (abs(values[name]) + 1e-9) for name in held)
+
     def use(self) -> EffectUse:
         """The effect at the values about which it is linear."""
         return EffectUse(self.effect.name, {**self.at, **(self.fitted or {})}, self.rotor)

@@ -26,7 +26,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_stalled: consecutive steps below min_progress. [definition: the first may lead over a rise]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
-    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks estimation coverage]
+    prior_blocks: as many as which the noise model counts where blocks vary less. [docs/lab/diagnosis.md, intervals]
     min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands.
     [margins: neither]
     """

@@ -25,7 +25,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     cutoff: of the low-pass on both sides, Hz. [margins: half]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [margins: double]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
-    [benchmarks estimation coverage; decisions: instruments of a fit]
+    [docs/lab/diagnosis.md, instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [formula: the low-pass has fallen to 0.3 % of its peak]
     """
