@@ -183,18 +183,11 @@ def _is_planned_for(effect: Effect) -> bool:
 
 def _usual(possible: Candidates, names: Sequence[str], vehicle: Vehicle) -> Candidates:
     """Some effects' candidates, each at the grid point that is nearest its usual values."""
-
-    def distance(candidate: Candidate) -> float:
-        usual = candidate.effect.defaults(vehicle)
-        held = [name for name in candidate.at if name not in candidate.free]
-        return sum(abs(candidate.at[name] - usual[name]) / (abs(usual[name]) + 1e-9) for name in held)
-
     best = dict[str, Candidate]()
     for candidate in possible.all:
-        if candidate.effect.name in names and (
-            candidate.key not in best or distance(candidate) < distance(best[candidate.key])
-        ):
-            best[candidate.key] = candidate
+        if candidate.effect.name in names:
+            usual = candidate.effect.defaults(vehicle)
+            best[candidate.key] = min(best.get(candidate.key, candidate), candidate, key=lambda c: c.distance(usual))
     columns = tuple(Column(i, name) for i, c in enumerate(best.values()) for name in (c.free or ("",)))
     return Candidates(tuple(best.values()), columns, possible.nuisances)
 

@@ -134,11 +134,9 @@ class Likeness:
 def likeness(details: DiagnosisDetails) -> Likeness:
     """The largest canonical correlation of each two effects' whitened columns; the first effects are shown.
 
-    By the likelihood beside all nuisances, by the regression without the flights' biases.
+    Beside all nuisances of the likelihood.
     """
-    gram: Floats = np.sum(details.regression.plain_gram, axis=0)
-    if details.likelihood is not None:
-        gram = details.likelihood.search.total.M
+    gram = details.likelihood.search.total.M
     taken = [one for one in details.tried if np.all(np.diag(gram)[list(one.columns)] > 0)][:SHOWN_CANDIDATES]
     places: list[NDArray[np.intp]] = [np.array(one.columns, dtype=np.intp) for one in taken]
     roots = [_inverse_root(gram[np.ix_(p, p)]) for p in places]
