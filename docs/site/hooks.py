@@ -27,6 +27,7 @@ commit, machine, versions and command it was made; older ones say so below, with
 """
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s:]+)(#[^)\s]*)?\)")
 FENCE = re.compile(r"^\s*```")
+FENCED = re.compile(r"(^\s*```.*?^\s*```[^\n]*$)", re.MULTILINE | re.DOTALL)
 ITEM = re.compile(r"^ {0,3}([-*]|\d+\.) ")
 
 
@@ -110,5 +111,6 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
         starts = ITEM.match(line) and before.strip() and not ITEM.match(before) and not before.startswith((" ", "#"))
         if starts and not fenced:
             lines.append("")
-        lines.append(line if fenced else LINK.sub(link, line))
-    return "\n".join(lines)
+        lines.append(line)
+    parts = FENCED.split("\n".join(lines))  # a link may go from one line to the next
+    return "".join(part if number % 2 else LINK.sub(link, part) for number, part in enumerate(parts))
