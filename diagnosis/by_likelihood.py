@@ -1,23 +1,23 @@
-"""The likelihood's answer in the form of the regression's, whose tests of the residuals tell what else is missing."""
+"""The likelihood's answer in the form of the regression's, which makes the residuals, their floor and the gust."""
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
-from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out, with_candidates
+from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.columns import candidates
-from diagnosis.likelihood.evidence import Search
-from diagnosis.likelihood.flight_rows import FlightRows, make_rows
-from diagnosis.likelihood.identify import command_values, deviations, identify
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
+from diagnosis.likelihood.flight_rows import rows_by_kind
+from diagnosis.likelihood.identify import Identified, command_values, deviations, identify
+from diagnosis.likelihood.left_over import LeftOver
 from diagnosis.likelihood.named import Doubted, Named, named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
@@ -39,14 +39,19 @@ Identity = tuple[str, int | None]  # an effect's name and its rotor
 class LikelihoodAnswer:
     """The named effects by the likelihood, and what the tests of their residuals need.
 
-    search: about the best set. regression: about the named effects. air: beside them.
+    result: the best set. regression: about the named effects. air: beside them.
     """
 
-    search: Search
+    result: Identified
     named: tuple[Named, ...]
     regression: Regression
     air: AirMotion
     accepted: Accepted
+
+    @property
+    def search(self) -> Search:
+        """About the best set."""
+        return self.result.search
 
     def missing(self) -> tuple[MissingEffect, ...]:
         """The named effects, the surest first."""
@@ -73,7 +78,7 @@ class LikelihoodAnswer:
         out = {(one.name, one.rotor) for one in refused}
         rest = tuple(one for one in self.named if one.candidate.identity not in out)
         accepted = _accepted(self.search, self.regression, rest, dataset, (*self.accepted.refused, *refused))
-        return LikelihoodAnswer(self.search, rest, self.regression, self.air, accepted)
+        return replace(self, named=rest, accepted=accepted)
 
 
 def answer_by_likelihood(
@@ -81,27 +86,81 @@ def answer_by_likelihood(
 ) -> LikelihoodAnswer:
     """Which effects are missing.
 
-    first: the regression about the vehicle's own model, with which they are tested. one_of: effects, each on a rotor
-    or none, of which one may be missing beside corrections of the file's own; by default all of the catalogue may.
-    Raises DataError where no stationary filter has such readings.
+    first: the regression about the vehicle's own model. one_of: effects, each on a rotor or none, of which one may be
+    missing beside corrections of the file's own; by default all of the catalogue may. Raises DataError where no
+    stationary filter has such readings.
     """
     problems = likelihood_problems(dataset, first)
     every = problems[0].what.all
     some = None if one_of is None else [i for i, c in enumerate(every) if c.identity in one_of]
-    try:
-        result = identify(problems, progress=progress, one_of=some)
-    except np.linalg.LinAlgError as error:
-        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
-    search, testable = result.search, {c.identity for c in first.candidates}
+    result = _identified(problems, progress, one_of=some)
+    testable = {c.identity for c in first.candidates}
     sure, doubted = named_effects(result)
     named = tuple(one for one in sure if one.candidate.identity in testable)
-    refused = tuple(_refused(one, search.problem.thresholds.named) for one in doubted)
-    fitted = likelihood_fit(search, first, named)
+    refused = tuple(_refused(one, result.search.problem.thresholds.named) for one in doubted)
+    return _about_named(result, named, refused, first, dataset)
+
+
+def answer_beside(
+    answer: LikelihoodAnswer, left: LeftOver, first: Regression, dataset: Dataset, progress: Progress = no_progress
+) -> LikelihoodAnswer:
+    """An answer beside what it leaves, which may have passed for an effect, or for noise.
+
+    Of its named effects remain those that leave little of what they make, and are likely beside that, by all of the
+    likelihood and by its evidence, with their values there; each of the others is refused.
+    """
+    limits, values = answer.search.problem.thresholds, answer.search.named_values(answer.result.best)
+    required = limits.named
+    fitting = [one for one in answer.named if left.shares[one.number] <= limits.form]
+    sure = [one for one in fitting if left.odds[one.number] >= required]
+    problems = [
+        problem.with_discrepancies([one.discrepancy for one in left.left]) for problem in answer.result.problems
+    ]
+    while True:
+        numbers = [one.number for one in sure]
+        result = _identified(problems, progress, fixed_set=numbers, begin=answer.result.noise)
+        odds = {one.number: _odds(result.search, sure, one) for one in sure}
+        if all(each >= required for each in odds.values()):
+            break
+        sure.remove(min(sure, key=lambda one: odds[one.number]))
+    named = tuple(replace(one, log_odds=min(one.log_odds, odds[one.number])) for one in sure)
+    refused = list(answer.accepted.refused)
+    for one in answer.named:
+        if one not in fitting:
+            detail, own = {"share": left.shares[one.number], "required": limits.form}, one.candidate
+            refused.append(Refused(own.effect.name, own.rotor, "another_form", detail, "", values[one.number]))
+        elif one not in sure:
+            odds_beside = float(np.exp(_odds(result.search, [*sure, one], one)))
+            refused.append(_refused(Doubted(one.candidate, values[one.number], odds_beside, 0.0), required))
+    return _about_named(result, named, refused, first, dataset)
+
+
+def _odds(search: Search, named: Sequence[Named], one: Named) -> float:
+    """Log of the odds of one of some effects, beside the others."""
+    numbers = [each.number for each in named]
+    together, rest = (search.score(some).evidence for some in (numbers, [i for i in numbers if i != one.number]))
+    return -np.inf if together == IMPOSSIBLE else float(together - rest)
+
+
+def _identified(problems: Sequence[Problem], progress: Progress, **choices: Any) -> Identified:
+    try:
+        return identify(problems, progress=progress, **choices)
+    except np.linalg.LinAlgError as error:
+        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
+
+
+def _about_named(
+    result: Identified, named: tuple[Named, ...], refused: Sequence[Refused], first: Regression, dataset: Dataset
+) -> LikelihoodAnswer:
+    """The answer that names some effects of a result. first: the regression about the vehicle's own model."""
+    fitted = likelihood_fit(result.search, first, named)
     regression = (about(first, fitted) if named else None) or first
     own = _in_regression(regression, named, fitted)
     regression = regression.in_gust(gust_variance(regression, own))
     air = air_beside(regression, gust_beside(first, []), own)
-    return LikelihoodAnswer(search, named, regression, air, _accepted(search, regression, named, dataset, refused))
+    return LikelihoodAnswer(
+        result, named, regression, air, _accepted(result.search, regression, named, dataset, refused)
+    )
 
 
 def _refused(one: Doubted, log_odds: float) -> Refused:
@@ -144,23 +203,13 @@ def _about_values(own: Sequence[Candidate], chosen: Sequence[Candidate], fitted:
 
 
 def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Problem]:
-    """The fitted flights of each kind of logs as its filter has them: in pieces, of which all columns fit into memory.
-
-    Logs of one kind have readings of the same sensors at about the same rate.
-    """
+    """The fitted flights of each kind of logs as its filter has them."""
     vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
     limits = regression.thresholds.likelihood
-    every, rows = candidates(vehicle, catalogue, dataset.fitted), dict[tuple[object, ...], list[FlightRows]]()
-    for segment, group in zip(dataset.fitted, dataset.flight_of, strict=True):
-        count = math.ceil(segment.duration / limits.seconds)
-        ends = [round(i * len(segment) / count) for i in range(count + 1)]
-        made = [make_rows(segment.between(begin, end), group, limits) for begin, end in itertools.pairwise(ends)]
-        kind = (made[0].readings, round(1 / made[0].period), segment.rotor_source, segment.pose_source)
-        followed = [replace(after, before=last) for last, after in itertools.pairwise(made)]
-        rows.setdefault(kind, []).extend([made[0], *followed])
+    every = candidates(vehicle, catalogue, dataset.fitted)
     return [
         Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)
-        for own in rows.values()
+        for own in rows_by_kind(dataset.fitted, dataset.flight_of, limits)
     ]
 
 
@@ -207,12 +256,9 @@ def _estimates(
 def _accepted(
     search: Search, regression: Regression, named: Sequence[Named], dataset: Dataset, refused: Sequence[Refused]
 ) -> Accepted:
-    """The named effects, and what each is worth on the held-out flights."""
-    fitted, judge = likelihood_fit(search, regression, named), HeldOut(regression, dataset.held_out)
-    floor = judge.floor(fitted.vehicle)
-    fewer = {c.key: left_out(fitted, c, regression.vehicle)[1] for c in fitted.candidates}
-    relevance = {key: judge.channel_changes(vehicle, fitted.vehicle, floor) for key, vehicle in fewer.items()}
-    return Accepted(fitted, tuple(refused), relevance, floor)
+    """The named effects beside the floor of the held-out flights."""
+    fitted = likelihood_fit(search, regression, named)
+    return Accepted(fitted, tuple(refused), HeldOut(regression, dataset.held_out).floor(fitted.vehicle))
 
 
 def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit | None) -> tuple[Candidate, ...]:

@@ -3,50 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from diagnosis.by_likelihood import LikelihoodAnswer, air_about, answer_by_likelihood
+from diagnosis.by_likelihood import LikelihoodAnswer, air_about, answer_beside, answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.segment import Segment
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
-    explained_motion,
     reduced_chi_square,
     residuals_in,
     sensors_floor,
-    telling_channels,
-    typical_chi_square,
 )
 from diagnosis.estimation.fitted import Fit
-from diagnosis.estimation.paired_errors import differences
 from diagnosis.estimation.refusal import Refused
-from diagnosis.estimation.revision import drifting_effects
-from diagnosis.leftover import leftover, with_typical_window
+from diagnosis.leftover import leftover
+from diagnosis.likelihood.held_out_score import held_out_score
+from diagnosis.likelihood.left_over import Left, left_over
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
-from diagnosis.models.pose_errors import with_velocity_errors
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
-from diagnosis.selection.gust import AirMotion, turbulence_of
+from diagnosis.selection.gust import AirMotion
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
-from diagnosis.selection.residual_tests import PerturbedResiduals, Rejection, ResidualTests, run_residual_tests
-from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds, VerdictThresholds
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
 from diagnosis.tried import Tried, not_excited, tried_by_likelihood
 from diagnosis.verdict import (
-    above_floor,
     channel_errors,
     considered,
     gust_refusal,
     judge,
-    rejections,
     with_gust,
 )
 from dynamics.arrays import Floats
@@ -55,8 +46,6 @@ from dynamics.progress import Progress, no_progress, part_of
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights.followed import FollowedFlight
-
-SEED = 3  # of an estimator's errors that are added, so that the same flights have the same answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +56,6 @@ class DiagnosisDetails:
     vehicle: with the missing effects at their fitted values.
     regression: of the fitted flights. air: in them, beside the effects.
     accepted: the named effects, and what was taken back.
-    residual_tests: of the identified model on the fitted flights.
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
     notes: what the user should know of the data.
@@ -81,7 +69,6 @@ class DiagnosisDetails:
     regression: Regression
     air: AirMotion
     accepted: Accepted
-    residual_tests: ResidualTests
     before: list[Floats]
     after: list[Floats]
     chi_square_before: float
@@ -110,15 +97,15 @@ def diagnose_dataset(
     regression, accepted = answer.regression, answer.accepted
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
     if gain is not None:
-        effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.rejected))
+        effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.left))
     named = [one.number for one in answer.named]
     quiet, tried = not_excited(answer.search, named), tried_by_likelihood(answer.search, named)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
-    left = leftover(judged.rejected, judged.tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
+    left = leftover(judged.left, dataset.fitted, accepted.floor, vehicle, thresholds)
     refused = (*accepted.refused, *judged.refused)
     diagnosis = Diagnosis(
-        verdict=judge(effects, judged.rejected),
+        verdict=judge(effects, judged.left),
         effects=effects,
         channels=channel_errors(before, judged.after, accepted.floor, sensors),
         not_excited=quiet,
@@ -130,6 +117,7 @@ def diagnose_dataset(
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
         command_gain=gain,
+        held_out_score=held_out_score(answer.result, named, dataset.held_out),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
@@ -137,7 +125,6 @@ def diagnose_dataset(
         regression=regression,
         air=judged.air,
         accepted=accepted,
-        residual_tests=judged.tests,
         before=before,
         after=judged.after,
         chi_square_before=reduced_chi_square(before, regression.noise),
@@ -153,33 +140,21 @@ def _answered(
 ) -> tuple[LikelihoodAnswer, _Judged, list[Floats], tuple[MissingEffect, ...]]:
     """The likelihood's answer, what is left of the flights with it, (m, 12) held-out residuals without, and the effects
     with the gust beside them."""
-    answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.8))
+    answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.6))
     before = residuals_in(first, fit(first, ()).vehicle, dataset.held_out)  # with biases by noise about no effects
-    judgement = _Judgement(first, answer, dataset, before)
-    progress(0.8, "tests of what remains")
-    judged = judgement.of(answer)
-    while refuted := _drifting(answer, judged):
-        answer = answer.without(refuted, dataset)
-        judged = judgement.of(answer)
+    progress(0.6, "what no effect explains")
+    left = left_over(answer.result)
+    if left.left:
+        alone, answer = answer, answer_beside(answer, left, first, dataset, part_of(progress, 0.7, 0.9))
+        if len(answer.named) < len(alone.named):  # what those made is left as well
+            left = left_over(answer.result, {(one.name, one.rotor) for one in answer.accepted.refused})
+    judged = _judged(first, answer, left.left, dataset)
     effects = (
         with_gust(answer.missing(), judged.air, sum(one.log_odds for one in answer.named))
         if judged.gusty
         else answer.missing()
     )
     return answer, judged, before, effects
-
-
-def _drifting(answer: LikelihoodAnswer, judged: _Judged) -> tuple[Refused, ...]:
-    """Effects without one value."""
-    rejected = bool(judged.rejected)
-    return drifting_effects(answer.regression, answer.accepted.fit, judged.fitted, rejected=rejected)
-
-
-def _swings(accepted: Accepted, limits: VerdictThresholds) -> bool:
-    """Whether a load is among the effects whose swing explains as much as is left: what its phase may leave."""
-    loads = [c for c in accepted.fit.candidates if c.effect.hidden and c.effect.rotor_speed is None]
-    relevance = [change for load in loads for change in accepted.relevance[load.key].values()]
-    return any(change.share_of_left >= limits.min_swinging for change in relevance)
 
 
 def _not_followed(regression: Regression) -> list[str]:
@@ -212,7 +187,7 @@ def _with_gain(
     """The effects with the one that a gain is of the vehicle file, where it surely is one.
 
     A file's thrust constant that is wrong is a gain, and a torque constant that undoes it: one cause. Without that a
-    gain is named where no test of the residuals rejects. unknown: whether one does.
+    gain is named where nothing is left that no effect is. unknown: whether something is.
     """
     if not gain.look_alikes:
         return effects
@@ -252,84 +227,31 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """Outcome of the residual tests about an accepted fit.
+    """Residuals and leftovers of an answer.
 
-    air: beside that fit.
-    after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.
+    air: beside its effects. left: what no effect is.
+    after, fitted: (m, 12) on the held-out and on the fitted segments.
     gusty: whether a gust is named. refused: a gust that is not.
     """
 
     air: AirMotion
+    left: tuple[Left, ...]
     after: list[Floats]
     fitted: list[Floats]
-    tests: ResidualTests
-    rejected: tuple[Rejection, ...]
     gusty: bool
     refused: tuple[Refused, ...]
 
 
-class _Judgement:
-    """The tests of the residuals of an answer.
-
-    first: the regression about the vehicle's own model. before: (m, 12) held-out residuals without effects.
-    """
-
-    def __init__(self, first: Regression, answer: LikelihoodAnswer, dataset: Dataset, before: list[Floats]) -> None:
-        self._first, self._regression = first, answer.regression
-        self._dataset, self._before = dataset, before
-
-    def of(self, answer: LikelihoodAnswer) -> _Judged:
-        """A gust and the tests that reject, of an answer with some of the effects."""
-        regression, accepted = self._regression, answer.accepted
-        by_fit, air = air_about(self._first, answer)
-        after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
-        fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
-        perturbed = self._perturbed_residuals(accepted, fitted)
-        tests = run_residual_tests(regression, fitted, by_position=air.detected, perturbed=perturbed)
-        tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
-        refused = gust_refusal(by_fit, air, tests, regression.thresholds.verdict)
-        gusty = air.detected and refused is None
-        if gusty and (gust := turbulence_of(air.gust, by_fit)) is not None:
-            tests = run_residual_tests(regression, fitted, by_position=True, gust=gust, perturbed=perturbed)
-            floor = np.hypot(accepted.floor, gust)
-            tests = with_typical_window(tests, after, floor, telling_channels(regression))
-        rejected = self._rejected(accepted, tests, after, fitted, gusty=gusty)
-        return _Judged(air, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
-
-    def _perturbed_residuals(
-        self, accepted: Accepted, fitted: list[Floats]
-    ) -> Callable[[], list[PerturbedResiduals]] | None:
-        """Makes draws of the fitted segments with an estimator's errors. fitted: (m, 12) residuals without."""
-        regression = self._regression
-
-        def added(segments: Sequence[Segment]) -> PerturbedResiduals:
-            rows = residuals_in(regression, accepted.fit.vehicle, segments)
-            return PerturbedResiduals(segments, differences(rows, fitted))
-
-        return (lambda: [added(segments) for segments in self._perturbed]) if regression.pose.there else None
-
-    @cached_property
-    def _perturbed(self) -> list[list[Segment]]:
-        limits, random = self._regression.thresholds.pose, np.random.default_rng(SEED)
-        return [with_velocity_errors(self._dataset.fitted, random, limits) for _ in range(limits.draws)]
-
-    def _rejected(
-        self, accepted: Accepted, tests: ResidualTests, after: list[Floats], fitted: list[Floats], *, gusty: bool
-    ) -> tuple[Rejection, ...]:
-        """The tests that reject, and that by typical held-out windows unless the model has a swinging load.
-
-        None does where no channel's held-out error is above its floor.
-        """
-        if not above_floor(after, accepted.floor):
-            return ()
-        regression, typical = self._regression, None
-        if not _swings(accepted, regression.thresholds.verdict):
-            typical = typical_chi_square(self._before, regression), typical_chi_square(after, regression)
-        tests_before = self._tests_before if accepted.fit.candidates else tests
-        limits = regression.thresholds
-        slight = limits.relevance.min_motion * explained_motion(self._dataset.fitted, fitted)
-        return rejections(tests, tests_before, typical, gusty=gusty, thresholds=limits.verdict, slight=slight)
-
-    @cached_property
-    def _tests_before(self) -> ResidualTests:
-        return run_residual_tests(self._regression, self._regression.residuals_after([]))
+def _judged(first: Regression, answer: LikelihoodAnswer, left: tuple[Left, ...], dataset: Dataset) -> _Judged:
+    """A gust and the residuals of an answer. first: about the vehicle's own model."""
+    regression, vehicle = answer.regression, answer.accepted.fit.vehicle
+    by_fit, air = air_about(first, answer)
+    refused = gust_refusal(by_fit, air, left, regression.thresholds.verdict)
+    return _Judged(
+        air=air,
+        left=left,
+        after=residuals_in(regression, vehicle, dataset.held_out),
+        fitted=residuals_in(regression, vehicle, dataset.fitted),
+        gusty=air.detected and refused is None,
+        refused=() if refused is None else (refused,),
+    )

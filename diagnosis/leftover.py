@@ -1,98 +1,103 @@
-"""Findings of rejected residual tests: in which channel, how large, when and in which regime."""
+"""Leftovers beside the named effects, for people: in which channel, how large, when and in which regime."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.likelihood.features import Line, time_of
+from diagnosis.likelihood.left_over import Left
 from diagnosis.models import channels
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Leftover, Seconds
-from diagnosis.selection.residual_tests import Finding, Rejection, ResidualTests
-from diagnosis.thresholds import DEFAULT, RegimeThresholds
+from diagnosis.thresholds import DEFAULT, RegimeThresholds, Thresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
-TYPICAL_WINDOW = "typical_window"
-
-
-def with_typical_window(
-    tests: ResidualTests, rows: Sequence[Floats], floor: Floats, among: Sequence[int] = range(channels.CHANNELS)
-) -> ResidualTests:
-    """The tests with what held-out residuals (m, 12) have beyond their floor (12,), in the channel that has most.
-
-    among: the channels that tell of the model.
-    """
-    everything = np.vstack(rows)
-    there = (floor > 0) & np.isin(np.arange(channels.CHANNELS), among)
-    excess = np.zeros(channels.CHANNELS)
-    excess[there] = np.mean(everything[:, there] ** 2, axis=0) / floor[there] ** 2 - 1
-    channel = int(np.argmax(excess))
-    over_floor = float(np.sqrt(max(excess[channel], 0.0)))
-    part = tuple(r[:, channel] for r in rows)
-    finding = Finding(TYPICAL_WINDOW, channel, over_floor * float(floor[channel]), over_floor, part)
-    return replace(tests, findings={**tests.findings, TYPICAL_WINDOW: finding})
+TESTS: Mapping[str, str] = {
+    "state": "predictable_from_state",
+    "velocity": "predictable_from_state",
+    "place": "position_dependent",
+    "time": "predictable_from_time",
+    "line": "spectral_line",
+}
 
 
 def leftover(
-    rejections: Sequence[Rejection],
-    tests: ResidualTests,
-    fitted: Sequence[Segment],
-    held_out: Sequence[Segment],
-    vehicle: Vehicle,
-    thresholds: RegimeThresholds = DEFAULT.regimes,
+    left: Sequence[Left], segments: Sequence[Segment], floor: Floats, vehicle: Vehicle, thresholds: Thresholds = DEFAULT
 ) -> tuple[Leftover, ...]:
-    """Findings of the tests that rejected, the largest over its floor first.
-
-    fitted, held_out: the segments that were tested; a typical window is of the latter.
-    """
+    """Leftovers, the surest first. segments: that were fitted. floor: (12,) of the channels."""
     entries = []
-    for rejection in rejections:
-        finding = tests.findings[rejection.test]
-        segments = held_out if rejection.test == TYPICAL_WINDOW else fitted
-        kind = channels.KINDS[finding.channel // channels.AXES]
-        rows, floor = _alone(finding)
-        maps = regime_maps(segments, rows, floor, vehicle, thresholds)
+    for one in left:
+        channel, rms = _channel(one, segments[0]), one.rms
+        parts = [_course(one, segment) for segment in segments]
+        rows, own_floor = _alone(parts, channel, rms)
+        maps = regime_maps(segments, rows, own_floor, vehicle, thresholds.regimes)
+        kind, of = channels.KINDS[channel // channels.AXES], one.discrepancy.of
         entries.append(
             Leftover(
-                test=rejection.test,
-                channel=f"{kind} {'xyz'[finding.channel % channels.AXES]}",
-                size=rejection.size,
-                threshold=rejection.threshold,
-                rms=finding.rms,
-                over_floor=finding.over_floor,
+                test=TESTS[of.kind],
+                channel=f"{kind} {'xyz'[channel % channels.AXES]}",
+                size=one.log_odds,
+                threshold=thresholds.likelihood.named,
+                rms=rms,
+                over_floor=rms / float(floor[channel]) if floor[channel] > 0 else 0.0,
                 unit=channels.UNITS[kind],
-                frequency=finding.frequency,
-                seconds=_worst_seconds(finding, segments, thresholds),
-                regimes=worst_cells(maps, thresholds, count=thresholds.leftover_cells),
+                frequency=of.frequency if isinstance(of, Line) else None,
+                seconds=_worst_seconds(parts, float(floor[channel]), segments, thresholds.regimes),
+                regimes=worst_cells(maps, thresholds.regimes, count=thresholds.regimes.leftover_cells),
             )
         )
-    return tuple(sorted(entries, key=lambda one: -one.over_floor))
+    return tuple(entries)
 
 
-def _alone(finding: Finding) -> tuple[list[Floats], Floats]:
-    """The part that a test found as residuals (m, 12) of each segment, and a floor (12,) over which its RMS is 1."""
+def _channel(one: Left, segment: Segment) -> int:
+    """The place among the twelve channels in which a log shows it."""
+    if one.channel >= channels.AXES:
+        return channels.ANGULAR_ACCELERATION.start + one.channel - channels.AXES
+    shown = channels.POSE_ACCELERATION if segment.specific_force is None else channels.SPECIFIC_FORCE
+    return shown.start + one.channel
+
+
+def _times(segment: Segment) -> Floats:
+    """(m,) s in the log's time, of a segment's reduced rows."""
+    count = len(segment.smooth[segment.decimated])
+    return np.asarray(segment.start + segment.filters.edge + np.arange(count) / segment.decimated_rate)
+
+
+def _course(one: Left, segment: Segment) -> Floats:
+    """(m,) of it in a segment's reduced rows, zero where it is not."""
+    here = [i for i, rows in enumerate(one.rows) if rows.segment.flight == segment.flight]
+    if not here:
+        return np.zeros(len(_times(segment)))
+    times, values = np.concatenate([time_of(one.rows[i]) for i in here]), np.concatenate([one.parts[i] for i in here])
+    order = np.argsort(times)
+    return np.asarray(np.interp(_times(segment), times[order], values[order]))
+
+
+def _alone(parts: Sequence[Floats], channel: int, rms: float) -> tuple[list[Floats], Floats]:
+    """Its course as residuals (m, 12) of each segment, and a floor (12,) over which its RMS is 1."""
     rows = []
-    for part in finding.part:
+    for part in parts:
         row = np.zeros((len(part), channels.CHANNELS))
-        row[:, finding.channel] = part
+        row[:, channel] = part
         rows.append(row)
     floor = np.zeros(channels.CHANNELS)
-    floor[finding.channel] = max(float(np.sqrt(np.mean(np.concatenate(finding.part) ** 2))), 1e-12)
+    floor[channel] = max(rms, 1e-12)
     return rows, floor
 
 
-def _worst_seconds(finding: Finding, segments: Sequence[Segment], thresholds: RegimeThresholds) -> tuple[Seconds, ...]:
-    """The windows where the part is largest, none within another."""
-    floor = finding.rms / finding.over_floor if finding.over_floor > 0 else np.inf
+def _worst_seconds(
+    parts: Sequence[Floats], floor: float, segments: Sequence[Segment], thresholds: RegimeThresholds
+) -> tuple[Seconds, ...]:
+    """The windows where it is largest, none within another."""
     windows = []
-    for part, segment in zip(finding.part, segments, strict=True):
-        count = max(1, round(thresholds.worst_window * segment.decimated_rate))
+    for part, segment in zip(parts, segments, strict=True):
+        count, times = max(1, round(thresholds.worst_window * segment.decimated_rate)), _times(segment)
         for place in range(0, max(1, len(part) - count // 2), count):
-            level = float(np.sqrt(np.mean(part[place : place + count] ** 2))) / floor
-            start = segment.start + segment.filters.edge + place / segment.decimated_rate
+            level = float(np.sqrt(np.mean(part[place : place + count] ** 2))) / (floor or np.inf)
+            start = float(times[place])
             windows.append(Seconds(segment.flight, round(start, 2), round(start + thresholds.worst_window, 2), level))
     return tuple(sorted(windows, key=lambda window: -window.over_floor)[: thresholds.leftover_cells])

@@ -68,7 +68,7 @@ def _manoeuvre(effect: Effect) -> str:
 
 
 def _about(leftover: Leftover) -> str:
-    """Advice about the finding of a residual test."""
+    """Advice about what is left."""
     match leftover.test:
         case "spectral_line":
             return (
@@ -82,16 +82,9 @@ def _about(leftover: Leftover) -> str:
                 f"about what the state predicts{_where(leftover)}: fly more of exactly that, and let a network learn "
                 "it (`alula train --model grey_box --effect diagnosed`), or give an effect of your own with --effects"
             )
-        case "low_frequency_agreement":
-            kind = "torque" if leftover.channel.startswith("angular") else "force"
-            return (
-                f"about the slow {kind}{_where(leftover)}: the same manoeuvre in still air and without payload; "
-                "if it stays, let a network learn it (`alula train "
-                "--model grey_box --effect diagnosed`), or give an effect of your own with --effects"
-            )
     return (
-        f"about the error of held-out flights{_where(leftover)}: more flights of that kind, so that they are not held "
-        "out alone"
+        f"about what changes with the time of flight{_where(leftover)}: the same manoeuvre with warm motors and a full "
+        "battery, then for longer; what stops it is its cause"
     )
 
 

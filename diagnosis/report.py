@@ -9,6 +9,7 @@ from typing import Literal
 import msgspec
 
 from diagnosis.estimation.refusal import Refused, reason_of
+from diagnosis.likelihood.held_out_score import HeldOutScore
 from diagnosis.models.channels import channel_name
 from diagnosis.regimes import Failure
 
@@ -91,13 +92,12 @@ class Seconds(msgspec.Struct, frozen=True):
 
 
 class Leftover(msgspec.Struct, frozen=True):
-    """Finding of a residual test beyond noise, for which the verdict is unknown.
+    """A leftover beside the effects, for which the verdict is unknown.
 
-    test: which one.
-    channel: in which this is largest, such as "imu x".
-    size, threshold: of the test's statistic.
-    rms: of the part of the residual that the test found, in unit.
-    over_floor: the same over the floor of the channel, with what a gust leaves there where one is named.
+    test: what predicts it: "predictable_from_state", "position_dependent", "predictable_from_time", "spectral_line".
+    channel: in which it is largest, such as "imu x".
+    size, threshold: log of the odds that it is there, and those that are required.
+    rms: of it, in unit. over_floor: the same over the floor of the channel.
     frequency: of a line, Hz.
     seconds: where it is largest.
     regimes: cells in which it stands out, over its own mean.
@@ -120,7 +120,7 @@ class CommandGain(msgspec.Struct, frozen=True):
 
     value, std: over all flights, fitted beside the effects that are named.
     look_alikes: effects that show as nothing but such a gain, where it is surely not 1 and none of them was found by
-        anything else. The first of them is then named beside the others, unless a test of the residuals rejects.
+        anything else. The first of them is then named beside the others, unless something else is left.
     """
 
     value: float
@@ -180,6 +180,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     rotors: each rotor's name with its place and the autopilots' numbers, for people.
     command_gain: None where rotor speeds were measured.
     in_flight: what the models of recorded flights followed, beside what is diagnosed; empty where none did.
+    held_out_score: log score of one-step predictions on held-out flights; None where no filter can follow them.
     """
 
     verdict: Verdict
@@ -195,6 +196,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     next_reference: str = ""
     command_gain: CommandGain | None = None
     in_flight: tuple[FollowedEffect, ...] = ()
+    held_out_score: HeldOutScore | None = None
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -240,6 +242,19 @@ def refusal_sentence(refused: Refused, rotors: Sequence[str] = ()) -> str:
     return f"{refused.name}{where}{f' ({values})' if values else ''}: {reason_of(refused)}"
 
 
+def score_sentence(score: HeldOutScore) -> str:
+    """Log score on held-out flights and whether it rose beyond chance, without a full stop."""
+    where = f"{score.seconds:.0f} s of held-out flight, chi-square {score.chi_square:.3g}"
+    if score.gain == 0:
+        return f"One-step log score on {where}: {score.before:.1f} {score.unit}"
+    chance = 1.96 * score.gain_std
+    change = "no change beyond chance" if abs(score.gain) <= chance else "better" if score.gain > 0 else "worse"
+    return (
+        f"One-step log score on {where}: {score.before:.1f} {score.unit} before, {score.after:.1f} after, {change} "
+        f"({score.gain:+.3g} ± {chance:.2g})"
+    )
+
+
 def in_flight_sentence(followed: FollowedEffect, rotors: Sequence[str] = ()) -> str:
     """An effect in flight beside the diagnosis, without a full stop. rotors: their names, as in the report."""
     name = followed.name + _of_rotor(followed.rotor, rotors)
@@ -262,22 +277,21 @@ def _value_text(name: str, value: float, std: float, unit: str) -> str:
 
 
 REMAINS = {
-    "low_frequency_agreement": "a slow force or torque remains",
     "predictable_from_state": "what remains depends on the state",
     "position_dependent": "what remains repeats at the same places",
+    "predictable_from_time": "what remains changes with the time of flight",
     "spectral_line": "a line remains in the spectrum",
-    "typical_window": "a typical window of held-out flight stays above its noise",
 }
 
 
 def remains(leftover: Leftover) -> str:
-    """Finding of a residual test, in words."""
+    """A leftover in words."""
     line = "" if leftover.frequency is None else f" at {leftover.frequency:.2g} Hz"
     return f"{REMAINS.get(leftover.test, leftover.test)}{line}"
 
 
 def leftover_sentence(leftover: Leftover) -> str:
-    """Finding of a residual test, its channel and its size, without a full stop."""
+    """A leftover, its channel and its size, without a full stop."""
     return (
         f"{remains(leftover)}, in {channel_name(leftover.channel)} {leftover.rms:.2g} {leftover.unit} RMS or "
         f"{leftover.over_floor:.2g} times its floor"
@@ -285,12 +299,12 @@ def leftover_sentence(leftover: Leftover) -> str:
 
 
 def evidence_sentence(leftover: Leftover) -> str:
-    """The test's statistic over its threshold, when and where what it found is largest, without a full stop."""
+    """How sure it is, when and where it is largest, without a full stop."""
     when = [f"{Path(s.flight).name} {s.start:.1f} to {s.stop:.1f} s" for s in leftover.seconds[:2]]
     where = [f"{cell.regime} {cell.low:.3g} to {cell.high:.3g}" for cell in leftover.regimes[:2]]
     largest = f"; largest in {', '.join(when)}" if when else ""
     cells = f"; at {', '.join(where)}" if where else ""
-    return f"{leftover.test} is {leftover.size:.3g}, its threshold {leftover.threshold:.3g}{largest}{cells}"
+    return f"log of the odds {leftover.size:.3g}, required {leftover.threshold:.3g}{largest}{cells}"
 
 
 def _look_alikes(effect: MissingEffect) -> str:

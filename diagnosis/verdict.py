@@ -9,55 +9,42 @@ import numpy as np
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
+from diagnosis.likelihood.left_over import Left
 from diagnosis.models import channels
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import AirMotion, Gust, signal_of, turbulence_of
+from diagnosis.selection.gust import AirMotion, Gust, signal_of
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from diagnosis.tried import Tried
 from dynamics.arrays import Floats
 
 
 def gust_refusal(
-    regression: Regression, air: AirMotion, tests: ResidualTests, thresholds: VerdictThresholds = DEFAULT.verdict
+    regression: Regression, air: AirMotion, left: Sequence[Left], thresholds: VerdictThresholds = DEFAULT.verdict
 ) -> Refused | None:
     """Why a gust that was detected is not named, None where it is named or none was detected.
 
-    Air in motion is no function of the vehicle's state nor of its position: what a function of these predicts on
-    flights left out is no gust. Nor has it a line in its spectrum, as a load that swings. Nor is one named that would
-    not raise the error of any axis by what matters.
+    Air in motion is no function of the vehicle's state, its place or time, and has no line in its spectrum: where a
+    force that is one has more than some share of a gust's power, it is none. Nor is one named that would not raise the
+    error of any axis by what matters.
     """
     if not air.detected or air.gust.effect is None:
         return None
     if (small := _small_gust(regression, air.gust)) is not None:
         return small
-    gained = max(air.gust.gain / max(regression.total, 1), 1e-12)
-    shares = {
-        where: tests.statistics[test] / gained
-        for test, where in (("predictable_from_state", "state"), ("position_dependent", "position"))
-        if tests.over_floor(test) > thresholds.min_over_floor
-    }
-    where, required = max(shares, key=lambda place: shares[place], default=""), thresholds.max_gust_predictable
-    if not where or shares[where] <= required:
-        where, required = "line", thresholds.max_line_in_gust
-        shares[where] = _share_of_line(regression, air.gust, tests)
-    if shares[where] <= required:
+    signal = signal_of(air.gust, regression)
+    forces = [one for one in left if one.channel < channels.AXES]
+    if signal is None or not forces:
         return None
+    power = np.sum(signal[channels.SPECIFIC_FORCE] ** 2) or np.sum(signal[channels.POSE_ACCELERATION] ** 2)
+    share = float(sum(one.rms**2 for one in forces) / power)
+    if share <= thresholds.max_gust_predictable:
+        return None
+    where = max(forces, key=lambda one: one.rms).discrepancy.of.kind
+    detail = {"share": share, "required": thresholds.max_gust_predictable}
     strength = {air.gust.effect.parameters[0].name: air.gust.intensity}
-    detail = {"share": shares[where], "required": required}
     return Refused(air.gust.effect.name, None, "predictable", detail, where, strength)
-
-
-def _share_of_line(regression: Regression, gust: Gust, tests: ResidualTests) -> float:
-    """Power of a line in the spectrum of a force over that of a gust there, where the line is one beyond doubt."""
-    limits, line = regression.thresholds.verdict, tests.findings.get("spectral_line")
-    signal = turbulence_of(gust, regression)
-    if line is None or signal is None or signal[line.channel] <= 0:
-        return 0.0
-    is_line = tests.spectral_line > max(limits.max_line, tests.line_by_chance)
-    return float((line.rms / signal[line.channel]) ** 2) if is_line and line.over_floor > limits.min_over_floor else 0.0
 
 
 def _small_gust(regression: Regression, gust: Gust) -> Refused | None:
@@ -108,68 +95,9 @@ def _value(estimate: ParameterEstimate) -> ParameterValue:
     return ParameterValue(estimate.value, estimate.std, estimate.unit)
 
 
-def rejections(
-    after: ResidualTests,
-    before: ResidualTests,
-    chi_squares: tuple[float, float] | None,
-    *,
-    gusty: bool,
-    thresholds: VerdictThresholds = DEFAULT.verdict,
-    slight: Floats | None = None,
-) -> tuple[Rejection, ...]:
-    """The tests of the residuals that reject, and find something large enough to matter.
-
-    after, before: residual tests with the effects and without them.
-    chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
-        be predicted on wild flights.
-    slight: (12,) RMS in each channel below which a finding does not matter, whatever the floor.
-    gusty: whether a gust is among the effects. What it leaves is compared with it then (`run_residual_tests`), and must
-        exceed it. That the state or the position predicts residuals has refused the gust before (`gust_refusal`).
-    """
-    sizes = after.statistics
-
-    def limit(lowest: float, before: float, over_floor: float) -> float:
-        """The lowest one; or the share of what was there that an imperfect form may leave, where it is small."""
-        excused = over_floor <= thresholds.max_excused
-        return max(lowest, thresholds.max_share * before) if excused else lowest
-
-    max_line = thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging
-    limits = {"spectral_line": max(max_line, after.line_by_chance)}
-    for test, lowest, earlier in (
-        ("low_frequency_agreement", thresholds.max_agreement, before.low_frequency_agreement),
-        ("predictable_from_state", thresholds.max_predictable, before.predictable_from_state),
-    ):
-        limits[test] = limit(lowest, earlier, after.over_floor(test))
-    limits["position_dependent"] = thresholds.max_predictable
-    if chi_squares is not None:
-        sizes["typical_window"] = chi_squares[1]
-        over_floor = np.sqrt(max(chi_squares[1] - 1, 0.0))
-        limits["typical_window"] = limit(thresholds.max_chi_square, chi_squares[0], over_floor)
-
-    def matters(test: str) -> bool:
-        finding = after.findings.get(test)
-        if slight is not None and finding is not None and finding.rms < slight[finding.channel]:
-            return False
-        in_air = gusty and test != "spectral_line"
-        return after.over_floor(test) > (thresholds.min_over_gust if in_air else thresholds.min_over_floor)
-
-    return tuple(
-        Rejection(test, sizes[test], limit) for test, limit in limits.items() if sizes[test] > limit and matters(test)
-    )
-
-
-def above_floor(after: Sequence[Floats], floor: Floats) -> bool:
-    """Whether any kind of channel has a larger error than its floor: without, nothing is left to be missing.
-
-    after: (m, 12) residuals of each held-out flight. floor: (12,).
-    """
-    errors, floors = channels.norms(after), floor_norms(floor)
-    return any(errors[kind] > floors[kind] > 0 for kind in channels.KINDS)
-
-
-def judge(effects: Sequence[MissingEffect], rejected: Sequence[Rejection]) -> Verdict:
-    """The verdict: `unknown` where a test of the residuals rejects, whatever effects were named."""
-    if rejected:
+def judge(effects: Sequence[MissingEffect], left: Sequence[Left]) -> Verdict:
+    """The verdict: `unknown` where something is left that no effect is, whatever effects were named."""
+    if left:
         return "unknown"
     if not effects:
         return "explained"

@@ -206,7 +206,13 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
 
 def _print(result: DiagnosisResult, console: Console) -> None:
     from diagnosis.models.channels import NAMES
-    from diagnosis.report import evidence_sentence, in_flight_sentence, leftover_sentence, refusal_sentence
+    from diagnosis.report import (
+        evidence_sentence,
+        in_flight_sentence,
+        leftover_sentence,
+        refusal_sentence,
+        score_sentence,
+    )
 
     diagnosis = result.report
     console.print(f"{diagnosis.verdict}: {result.sentence}", highlight=False)
@@ -219,6 +225,8 @@ def _print(result: DiagnosisResult, console: Console) -> None:
         figures = (error.before, error.after, error.floor, error.sensors)
         table.add_row(NAMES[kind], *(f"{value:.4g}" for value in figures), error.unit)
     console.print(table)
+    if diagnosis.held_out_score is not None:
+        console.print(score_sentence(diagnosis.held_out_score), highlight=False)
     for cell in diagnosis.fails_where if diagnosis.verdict != "explained" else ():
         console.print(
             f"fails at {cell.regime} from {cell.low:g} to {cell.high:g}: {NAMES[cell.channel]} {cell.rms_over_floor:g} "

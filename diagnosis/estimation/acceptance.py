@@ -1,14 +1,12 @@
-"""The effects that are named and those that were taken back, each with what it is worth on held-out flights."""
+"""The effects that are named and those that were taken back."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from diagnosis.estimation.fitted import Fit, neutral_values, with_candidates
-from diagnosis.estimation.paired_errors import ErrorChange
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
@@ -22,13 +20,11 @@ class Accepted:
 
     fit: of them.
     refused: what was likely or taken back, and is not among them.
-    relevance: by an effect's key and kind of channel, held-out error without it (`before`) and with it (`after`).
     floor: (12,) noise floor of the held-out flights.
     """
 
     fit: Fit
     refused: tuple[Refused, ...]
-    relevance: Mapping[str, Mapping[str, ErrorChange]]
     floor: Floats
 
 

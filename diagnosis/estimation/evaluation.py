@@ -89,24 +89,6 @@ def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:
     return float(sum(np.sum(w**2) for w in white) / sum(w.size for w in white))
 
 
-def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
-    """Reduced chi-square of a typical window (geometric mean), which a few chaotic seconds do not dominate.
-
-    Of the channels that tell of the model: an estimator's attitude is made from the gyro, which it differs from anyway.
-    """
-    noise = regression.noise
-    places = [place for place, channel in enumerate(noise.active) if channel in telling_channels(regression)]
-    length = max(1, round(regression.thresholds.acceptance.typical_window * regression.rate))
-    squares = [np.mean(noise.whiten(r)[:, places] ** 2, axis=1) for r in rows]
-    means = [np.mean(s[i : i + length]) for s in squares for i in range(0, max(1, len(s) - length // 2), length)]
-    return float(np.exp(np.mean(np.log(means))))
-
-
-def telling_channels(regression: Regression) -> range:
-    """The channels whose residuals tell of the model."""
-    return range(channels.MOTION.stop if regression.pose.there else channels.CHANNELS)
-
-
 def saturated_floor(regression: Regression, segments: Sequence[Segment]) -> Floats:
     """(12,) floor of the residuals of segments after all columns of the catalogue at once."""
     return residual_floor(regression, [regression.saturated_residual(segment) for segment in segments])
@@ -145,9 +127,3 @@ def _predictor(
 def floor_norms(floor: Floats) -> dict[str, float]:
     """Noise floor of each kind from a floor (12,): norm over its three axes, 0 where the kind is absent."""
     return dict(zip(channels.KINDS, np.sqrt(channels.squared_by_kind(floor)).tolist(), strict=True))
-
-
-def explained_motion(segments: Sequence[Segment], rows: Sequence[Floats]) -> Floats:
-    """(12,) RMS of what a model predicts about its mean, a standing bias and the weight aside. rows: its residuals."""
-    explained = np.vstack([channels.measured(s) - y for s, y in zip(segments, rows, strict=True)])
-    return np.asarray(np.std(explained, axis=0))

@@ -6,7 +6,6 @@ what else is missing, such as a gust, adds to both and cancels.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,11 +24,7 @@ class ErrorChange:
     before, after: RMS over the axes.
     floor: with which it is compared, likewise.
     by_axis: change of the mean squared error of each axis, over its squared floor.
-    left: what of the mean squared error after it is above the floor, likewise.
     deviations: the mean of these over its standard deviation, positive where it rises.
-    size: RMS of the difference of the predictions.
-    shortfall: by how many deviations the squared error falls by less than half of the squared size, all of which it
-        would fall by if the difference were real.
     motion: RMS of what is predicted in open loop, the unit of its errors' rises; 0 for channels, whose floor is theirs.
     """
 
@@ -37,10 +32,7 @@ class ErrorChange:
     after: float
     floor: float
     by_axis: tuple[float, ...]
-    left: tuple[float, ...]
     deviations: float
-    size: float = 0.0
-    shortfall: float = 0.0
     motion: float = 0.0
 
     @property
@@ -52,16 +44,6 @@ class ErrorChange:
         if self.motion > 0:
             return (self.after - self.before) / self.motion
         return relative_rise(float(np.mean(self.by_axis)))
-
-    @property
-    def fall(self) -> float:
-        """By how much the error of the axis that falls most would, over that axis's floor."""
-        return -relative_rise(min(self.by_axis))
-
-    @property
-    def share_of_left(self) -> float:
-        """Decrease of the squared error over the remaining excess above the floor; infinite where nothing remains."""
-        return _share(self.before**2 - self.after**2, self.after**2 - self.floor**2)
 
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
@@ -87,13 +69,6 @@ class ModelErrors:
             for i, rows in enumerate(self.rows)
         ]
 
-    def less(self, other: ModelErrors) -> ModelErrors:
-        """The difference of both models' predictions, of the other's less these."""
-        return ModelErrors(
-            differences(self.rows, other.rows),
-            [differences(one, another) for one, another in zip(self.of_inputs, other.of_inputs, strict=True)],
-        )
-
     def after(self, skipped: int) -> ModelErrors:
         """Without so many rows at the start of each segment, at most half of it."""
 
@@ -115,20 +90,13 @@ def channel_changes(
 
     before, after: of the same segments. floor: (12,). rate: of the rows, Hz.
     """
-    difference = after.less(before)
     compared = {}
     for i, kind in enumerate(channels.KINDS):
         axes = slice(channels.AXES * i, channels.AXES * (i + 1))
         level = float(np.linalg.norm(floor[axes]))
         if level > 0:
-            was, now, size = before.squares(axes), after.squares(axes), difference.squares(axes)
             floors = np.maximum(floor[axes], limits.min_axis_floor * level)
-            expected = [w - d / 2 for w, d in zip(was, size, strict=True)]
-            compared[kind] = replace(
-                _change(was, now, floors, rate, limits),
-                size=_norm(size),
-                shortfall=_change(expected, now, floors, rate, limits).deviations,
-            )
+            compared[kind] = _change(before.squares(axes), after.squares(axes), floors, rate, limits)
     return compared
 
 
@@ -206,13 +174,8 @@ def _change(
         after=_norm(now),
         floor=float(np.linalg.norm(floors)),
         by_axis=tuple((differences.sum(axis=0) / max(count, 1)).tolist()),
-        left=tuple((np.mean(np.concatenate(now), axis=0) / floors**2 - 1).tolist()),
         deviations=float(pooled.sum()) / spread if spread > 0 else 0.0,
     )
-
-
-def _share(fall: float, left: float) -> float:
-    return fall / left if left > 0 else math.inf
 
 
 def _norm(squares: Sequence[Floats]) -> float:

@@ -8,8 +8,8 @@ import msgspec
 
 from diagnosis.models.channels import NAMES
 
-Reason = Literal["too_small", "unsure", "open_loop_alike", "drifts", "predictable"]
-HINTS: tuple[Reason, ...] = ("unsure", "drifts")
+Reason = Literal["too_small", "unsure", "open_loop_alike", "another_form", "predictable"]
+HINTS: tuple[Reason, ...] = ("unsure",)
 
 
 class Refused(msgspec.Struct, frozen=True):
@@ -57,16 +57,16 @@ def reason_of(refused: Refused) -> str:
                 f"on the held-out flights the open loop is not better with it by more than chance: "
                 f"{number['deviations']} standard deviations, {number['required']} are required"
             )
-        case "drifts":
+        case "another_form":
             text = (
-                "its value is not constant: between strong and weak, or early and late in a flight, the fits "
-                f"differ by {number['share']} of it, {number['deviations']} standard deviations"
+                "its form is another one's: functions of state, velocity or time that are left beside it have "
+                f"{number['share']} of what it makes, and an imperfect form may leave {number['required']}"
             )
         case "predictable" if refused.where == "line":
             text = f"air in motion has no line in its spectrum, but one has {number['share']} of the power of this one"
         case "predictable":
             text = (
-                f"air in motion is no function of the {where}, but that predicts {number['share']} of what it "
-                f"explains, on flights left out"
+                f"air in motion is no function of the {where}, but one of it has {number['share']} of the power of "
+                "this one"
             )
     return text

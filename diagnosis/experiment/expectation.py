@@ -145,7 +145,7 @@ class Expectation:
         first, length = round(EDGE / rows.period), round(t.block / rows.period)
         parts = [white[i : i + length].reshape(-1, white.shape[2]) for i in range(first, len(white), length)]
         M = np.array([part.T @ part for part in parts])
-        return Information(0, M, np.zeros(M.shape[:2]), np.zeros(len(M)), white.shape[1], len(white) - first)
+        return Information(0, M, np.zeros(M.shape[:2]), np.zeros(len(M)), white.shape[1], len(white) - first, 0.0)
 
 
 def planned_segment(motion: ReferenceSamples, vehicle: Vehicle) -> Segment:

@@ -14,6 +14,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.likelihood import priors
+from diagnosis.likelihood.features import Discrepancy
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.gain import KINDS, unread
 from diagnosis.likelihood.rigid_body import OUTPUTS, SPEEDS, Along, FlightModel, before_reading
@@ -53,12 +54,13 @@ class Nuisance:
 class Candidates:
     """Effects that may be missing, each at points about which it is linear.
 
-    columns: of all, one after another.
+    columns: of all, one after another. discrepancies: what no effect is, asked beside a set; its columns are the last.
     """
 
     all: tuple[Candidate, ...]
     columns: tuple[Column, ...]
     nuisances: tuple[Nuisance, ...]
+    discrepancies: tuple[Discrepancy, ...] = ()
 
     def places(self, number: int) -> list[int]:
         """Columns of a candidate."""
@@ -74,9 +76,14 @@ class Candidates:
         return [i for i, c in enumerate(self.columns) if self.all[c.candidate].effect.name in COMMAND_EFFECTS]
 
     @property
+    def of_discrepancies(self) -> range:
+        """Columns of discrepancies."""
+        return range(len(self.columns) + len(self.nuisances), self.width)
+
+    @property
     def width(self) -> int:
-        """Number of columns, nuisances included."""
-        return len(self.columns) + len(self.nuisances)
+        """Number of columns, nuisances and discrepancies included."""
+        return len(self.columns) + len(self.nuisances) + sum(len(one) for one in self.discrepancies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +168,7 @@ def about(
             free = (*candidate.free, *grid)
             every[number] = Candidate(candidate.effect, candidate.rotor, at, free, (), candidate.present)
     starts = _starts(FlightModel(vehicle, fitted_uses(vehicle, every, fitted), catalogue))
-    return Candidates(tuple(every), _columns(every), (*what.nuisances, *starts))
+    return replace(what, all=tuple(every), columns=_columns(every), nuisances=(*what.nuisances, *starts))
 
 
 def fitted_uses(
@@ -242,7 +249,8 @@ def inputs(
         own = FlightModel(vehicle, uses, catalogue)
         set_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
     _set_errors(what, along, acting, readings)
-    return _over_rows(rows, acting, readings)
+    _set_discrepancies(what, rows, along, acting, readings)
+    return over_rows(rows, acting, readings)
 
 
 def _moved_speeds(rows: FlightRows, along: Along, lag: Candidate, in_model: bool) -> Floats:
@@ -275,6 +283,17 @@ def _set_errors(what: Candidates, along: Along, acting: Floats, readings: Floats
             readings[column, :, 9 + place] = acting[column, :, place] if kind == "force" else 0.0
 
 
+def _set_discrepancies(what: Candidates, rows: FlightRows, along: Along, acting: Floats, readings: Floats) -> None:
+    """Set the inputs of what no effect is. acting: (k, N, 6). readings: (k, N, 12 + rotors)."""
+    first, values = len(what.columns) + len(what.nuisances), dict[int, Floats]()
+    for one in what.discrepancies:
+        if id(one.of) not in values:
+            values[id(one.of)] = one.of.along(rows, along)
+        acting[first : first + len(one)] = one.acting(values[id(one.of)], along)
+        readings[first : first + len(one), :, 9:12] = acting[first : first + len(one), :, :3]
+        first += len(one)
+
+
 def _slopes(
     model: FlightModel, rows: FlightRows, along: Along, starts: Mapping[str, float], free: Sequence[str]
 ) -> Floats:
@@ -297,7 +316,7 @@ def _slopes(
     return np.stack([slopes[name] for name in free])
 
 
-def _over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:
+def over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:
     """Inputs of a row's end and of its mean readings: force and angular acceleration are constant over a row."""
     dt, K, N = rows.period, len(acting), len(rows)
     force, turning = acting[:, :, :3].transpose(1, 2, 0), acting[:, :, 3:].transpose(1, 2, 0)

@@ -33,6 +33,8 @@ class Sums:
     """Information of all candidates' columns with the nuisances marginalised, counted from the vehicle file.
 
     M: (k, k), g: (k,). blocks: (b, k, k) and (b, k) of each block of time. now: (k,) values about which it is linear.
+    Where discrepancies race, their columns are the last ones. base: log-evidence of the vehicle file, but for a
+    constant.
     """
 
     M: Floats
@@ -41,6 +43,7 @@ class Sums:
     g_blocks: Floats
     now: Floats
     shared: tuple[Floats, Floats, Floats]
+    base: float
 
     def of_commands(self, places: Sequence[int], values: Floats, count: int) -> Floats:
         """(count,) changes of what lies between command and thrust beside a set's values."""
@@ -68,42 +71,53 @@ class Kind:
     noise: NoiseSlopes
 
 
-def sums(kinds: Sequence[Kind], *, settled: bool, share: float = 1.0) -> Sums:
+def sums(kinds: Sequence[Kind], *, settled: bool, share: float = 1.0, raced: bool = False) -> Sums:
     """Marginalise discrepancies of each block, then hidden states' starts of each part of a flight, sensors of each
     flight, and what all flights of a kind share, with the noise's hyperparameters among it: under feedback they are not
     independent of the vehicle's parameters; at last what lies between command and thrust.
 
     settled: whether the model is near its best, so that a step of the noise's values is one that its slopes allow.
-    share: power of the likelihood.
+    share: power of the likelihood. raced: whether discrepancies are candidates, too: they are nuisances otherwise, and
+    a part of a flight is one block then.
     """
     problem = kinds[0].problem
     present_values, own = present(problem), problem.what.of_commands
-    parts = [_of_kind(kind, settled=settled, share=share) for kind in kinds]
-    M, g = np.concatenate([M for M, _ in parts]), np.concatenate([g for _, g in parts])
+    parts = [_of_kind(kind, settled=settled, share=share, raced=raced) for kind in kinds]
+    M, g = np.concatenate([M for M, _, _ in parts]), np.concatenate([g for _, g, _ in parts])
     effects = [problem.what.all[problem.what.columns[place].candidate].effect for place in own]
     precision = np.array([1 / prior_deviation(effect, DEFAULT.command_curve) ** 2 for effect in effects])
-    rest = [i for i in range(len(problem.what.columns)) if i not in own]
-    M_blocks, g_blocks, shared = _shared(M, g, own, rest, precision, -precision * present_values[own])
-    now = present_values[rest]
+    rest = [i for i in range(M.shape[1]) if i not in own]
+    M_blocks, g_blocks, shared, gained = _shared(M, g, own, rest, precision, -precision * present_values[own])
+    now = np.concatenate([present_values, np.zeros(M.shape[1] - len(present_values))])[rest]
     M = M_blocks.sum(0)
     M = (M + M.T) / 2
-    return Sums(M, g_blocks.sum(0) + M @ now, M_blocks, g_blocks + M_blocks @ now, now, shared)
+    score = g_blocks.sum(0)
+    base = sum(base for _, _, base in parts) + gained - score @ now - now @ M @ now / 2
+    return Sums(M, score + M @ now, M_blocks, g_blocks + M_blocks @ now, now, shared, float(base))
 
 
-def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats]:
-    """(b, k, k) and (b, k) of the blocks of one kind of logs: of the candidates' columns alone."""
+def _of_kind(kind: Kind, *, settled: bool, share: float, raced: bool) -> tuple[Floats, Floats, float]:
+    """(b, k, k) and (b, k) of the blocks of one kind of logs, of the columns of candidates and of what races; and the
+    log-evidence where all of these are as they are."""
     what, noise = kind.problem.what, kind.noise
     K = len(what.columns)
     lasting = ("block", "part", "flight", "always")
     places = {name: [K + i for i, one in enumerate(what.nuisances) if one.lasts == name] for name in lasting}
-    precision = np.concatenate([np.zeros(K), [1 / n.std**2 for n in what.nuisances], noise.precision])
+    others = what.of_discrepancies
+    deviations = [n.std for n in what.nuisances] + [each for one in what.discrepancies for each in one.deviations]
+    precision = np.concatenate([np.zeros(K), np.array(deviations) ** -2.0, noise.precision])
     pull = np.concatenate([np.zeros(what.width), -noise.precision * noise.away])
+    base = share * sum(part.log_likelihood for part in kind.information) - noise.precision @ noise.away**2 / 2
     if settled:
         places["always"] += range(what.width, len(precision))
-    columns = [*range(K), *places["part"], *places["flight"], *places["always"]]
+    places["always"] += [] if raced else others
+    columns = [*range(K), *(others if raced else ()), *places["part"], *places["flight"], *places["always"]]
     M_all, g_all, groups, ids_of_parts = [], [], [], []
     for place, part in enumerate(kind.information):
-        M, g = _marginal(share * part.M, share * part.g, places["block"], columns, precision)
+        M, g, gained = _marginal(share * part.M, share * part.g, places["block"], columns, precision)
+        base += gained
+        if raced:
+            M, g = M.sum(0, keepdims=True), g.sum(0, keepdims=True)
         M_all.append(M)
         g_all.append(g)
         groups += [part.group] * len(M)
@@ -113,8 +127,8 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
         if lasts == "part" and not places[lasts]:
             continue
         at = {c: i for i, c in enumerate(columns)}
-        out, others = places[lasts], [c for c in columns if c not in places[lasts]]
-        own, rest = [at[c] for c in out], [at[c] for c in others]
+        out, staying = places[lasts], [c for c in columns if c not in places[lasts]]
+        own, rest = [at[c] for c in out], [at[c] for c in staying]
         M_next, g_next = np.empty((len(group), len(rest), len(rest))), np.empty((len(group), len(rest)))
         for one in np.unique(ids):
             here = ids == one
@@ -122,16 +136,17 @@ def _of_kind(kind: Kind, *, settled: bool, share: float) -> tuple[Floats, Floats
             if lasts == "part":
                 begun = kind.problem.starts.get(int(one), {})
                 prior = -precision[out] * [begun.get(what.nuisances[c - K].of, 0.0) for c in out]
-            M_next[here], g_next[here], _ = _shared(M[here], g[here], own, rest, precision[out], prior)
-        M, g, columns = M_next, g_next, others
-    return M, g
+            M_next[here], g_next[here], _, gained = _shared(M[here], g[here], own, rest, precision[out], prior)
+            base += gained
+        M, g, columns = M_next, g_next, staying
+    return M, g, float(base)
 
 
 def _shared(
     M: Floats, g: Floats, own: Sequence[int], rest: Sequence[int], precision: Floats, pull: Floats
-) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats]]:
-    """(b, r, r) and (b, r) of blocks without columns that are one in all of them; and the inverse of these columns'
-    information, that across to the rest, and their score.
+) -> tuple[Floats, Floats, tuple[Floats, Floats, Floats], float]:
+    """(b, r, r) and (b, r) of blocks without columns that are one in all of them; the inverse of these columns'
+    information, that across to the rest, and their score; and the log-evidence that they gain.
 
     pull: (c,) slope of their log-prior at the present values.
     """
@@ -143,21 +158,24 @@ def _shared(
     T[:, own] = -(inverse @ total[np.ix_(own, rest)]).T
     offset = -total[np.ix_(rest, own)] @ inverse @ pull
     M_rest, g_rest = np.einsum("ij,bjk->bik", T, M)[:, :, rest], g @ T.T + offset / len(M)
-    return M_rest, g_rest, (inverse, total[np.ix_(own, rest)], score[own] + pull)
+    pulled = score[own] + pull
+    gained = (pulled @ inverse @ pulled + np.linalg.slogdet(inverse * precision)[1]) / 2
+    return M_rest, g_rest, (inverse, total[np.ix_(own, rest)], pulled), float(gained)
 
 
 def _marginal(
     M: Floats, g: Floats, out: Sequence[int], rest: Sequence[int], precision: Floats
-) -> tuple[Floats, Floats]:
-    """(b, r, r) and (b, r) with some columns marginalised in each block."""
+) -> tuple[Floats, Floats, float]:
+    """(b, r, r) and (b, r) with some columns marginalised in each block, and the log-evidence that these gain."""
     if not out:
-        return M, g
+        return M, g, 0.0
     inner = M[:, out][:, :, out] + np.diag(precision[out])
     across = M[:, out][:, :, rest]
     solved = np.linalg.solve(inner, np.concatenate([across, g[:, out][:, :, None]], axis=2))
     M_rest = M[:, rest][:, :, rest] - across.transpose(0, 2, 1) @ solved[:, :, :-1]
     g_rest = g[:, rest] - np.einsum("bij,bi->bj", across, solved[:, :, -1])
-    return M_rest, g_rest
+    gained = np.sum(g[:, out] * solved[:, :, -1]) - np.sum(np.linalg.slogdet(inner / precision[out])[1])
+    return M_rest, g_rest, float(gained / 2)
 
 
 def present(problem: Problem) -> Floats:
@@ -207,31 +225,35 @@ class Search:
     """Sets of candidates by their evidence.
 
     kinds: flights of one kind of logs each. problem: of the first; candidates and their values are those of all.
-    total, coarse: sums of the likelihood, and of its share that counts as evidence. one_of: candidates of which one at
-    most is there, beside corrections of the vehicle file's own effects; by default all may be.
+    total, coarse: sums of the likelihood, and of its share that counts as evidence: of all of it where discrepancies
+    are candidates, too. one_of: candidates of which one at most is there, beside corrections of the vehicle file's own
+    effects; by default all may be.
     """
 
-    def __init__(self, kinds: Sequence[Kind], *, settled: bool, one_of: Collection[int] | None = None) -> None:
+    def __init__(
+        self, kinds: Sequence[Kind], *, settled: bool, one_of: Collection[int] | None = None, raced: bool = False
+    ) -> None:
         problem = kinds[0].problem
         self._one_of = one_of
         own = {(use.name, use.rotor) for use in problem.vehicle.effects}
         seconds = sum(len(rows) * rows.period for kind in kinds for rows in kind.problem.flights)
         share = 1 / (1 + seconds / problem.thresholds.trusted)
         self.problem, self.what = problem, problem.what
-        self.total = sums(kinds, settled=settled)
-        self.coarse = sums(kinds, settled=settled, share=share)
+        self.total = sums(kinds, settled=settled, raced=raced)
+        self.coarse = self.total if raced else sums(kinds, settled=settled, share=share)
         self.std = prior_stds(self.what, problem.vehicle, list(problem.fitted))
         self.columns = [self.what.places(i) for i in range(len(self.what.all))]
         names = [c.effect.name for c in self.what.all]  # those of commands are none of the search's
         effects = len(set(names))
         self.log_prior = [-np.log(effects) - np.log(names.count(name)) for name in names]
         size = np.diag(self.total.M)
+        self.of_effects = len(self.what.columns) - len(self.what.of_commands)
         lags = [i for i in problem.fitted if self.what.all[i].effect.rotor_speed is not None]
         self.able = [
             i
             for i, places in enumerate(self.columns)
             if (one_of is None or i in one_of or self.what.all[i].identity in own)
-            and places[-1] < len(size)
+            and places[-1] < self.of_effects
             and np.all(size[places] > 0)
             and np.all(np.isfinite(size[places]))
             and not (lags and self.what.all[i].effect.rotor_speed is not None and i not in lags)
@@ -264,12 +286,12 @@ class Search:
         half = np.linalg.solve(cholesky, self.coarse.g[c] * std)
         evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
         slack = np.sqrt(np.diag(np.linalg.inv(coarse))) * std * self.problem.thresholds.bound_slack
-        possible = self._within(members, values, slack)
+        possible = self.within(members, values, slack)
         if possible is None:
             return nothing
         return Scored(members, float(evidence), possible, covariance * std * std[:, None])
 
-    def _within(self, members: tuple[int, ...], values: Floats, slack: Floats) -> Floats | None:
+    def within(self, members: tuple[int, ...], values: Floats, slack: Floats) -> Floats | None:
         """Values (c,) within the parameters' bounds; None where one exceeds them, or a fixed shape is none.
 
         The vehicle file may name an effect that does not exist: one of its own, which noise carries over a bound by no

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -55,6 +58,11 @@ class FlightRows:
 
     def __len__(self) -> int:
         return len(self.velocity)
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """Of logs that have readings of the same sensors at about the same rate."""
+        return self.readings, round(1 / self.period), self.segment.rotor_source, self.segment.pose_source
 
     def rotor_speed(self, lag: float | None) -> Floats:
         """(N, rotors) rad/s behind a lag, s: their squares have the rows' mean."""
@@ -132,6 +140,23 @@ def make_rows(segment: Segment, group: int, thresholds: LikelihoodThresholds = D
         _merged(segment.position, merged),
         _merged(segment.environment, merged),
     )
+
+
+def rows_by_kind(
+    segments: Sequence[Segment], groups: Sequence[int], thresholds: LikelihoodThresholds = DEFAULT.likelihood
+) -> list[list[FlightRows]]:
+    """The rows of segments of each kind of logs, in pieces, of which all columns fit into memory.
+
+    groups: numbers of their flights.
+    """
+    kinds = dict[tuple[object, ...], list[FlightRows]]()
+    for segment, group in zip(segments, groups, strict=True):
+        count = math.ceil(segment.duration / thresholds.seconds)
+        ends = [round(i * len(segment) / count) for i in range(count + 1)]
+        made = [make_rows(segment.between(begin, end), group, thresholds) for begin, end in itertools.pairwise(ends)]
+        followed = [replace(after, before=last) for last, after in itertools.pairwise(made)]
+        kinds.setdefault(made[0].kind, []).extend([made[0], *followed])
+    return list(kinds.values())
 
 
 def _merged(values: Floats, count: int) -> Floats:

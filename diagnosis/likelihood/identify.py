@@ -17,8 +17,9 @@ from dynamics.progress import Progress, no_progress
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The best set about its own values. noise: of each kind of logs."""
+    """The best set about its own values. problems, noise: of each kind of logs."""
 
+    problems: tuple[Problem, ...]
     noise: tuple[NoiseFit, ...]
     search: Search
     best: Scored
@@ -32,17 +33,21 @@ def identify(
     *,
     one_of: Collection[int] | None = None,
     fixed_set: Sequence[int] | None = None,
+    begin: Sequence[NoiseFit] = (),
 ) -> Identified:
     """The best set of effects.
 
     problems: of the same candidates, one for each kind of logs. structures: of the noise, among which the likelihood
     decides; by default all that a kind may have. one_of: numbers of candidates of which one at most is there,
     beside corrections of the vehicle file's own effects. fixed_set: numbers of the candidates of a set whose values
-    are sought instead; if these are impossible, so is what is returned.
+    are sought instead; if these are impossible, so is what is returned. begin: noise of each kind near its best.
     """
     t = problems[0].thresholds
     progress(0.0, "the noise of the flights")
-    noises = [likeliest(one, structures or structures_of(one.flights[0].segment)) for one in problems]
+    if begin:
+        noises = [fit_noise(one, n.structure, values=n.values) for one, n in zip(problems, begin, strict=True)]
+    else:
+        noises = [likeliest(one, structures or structures_of(one.flights[0].segment)) for one in problems]
     members: tuple[int, ...] = ()
     step = 0.0
     for number in range(t.rounds):
@@ -68,7 +73,7 @@ def identify(
                 noises[place] = fit_noise(problem, noise.structure, values=noise.values, only=members)
     sums = [part for kind in kinds for part in kind.information]
     chi_square = sum(part.squares.sum() for part in sums) / sum(part.count for part in sums)
-    return Identified(tuple(noises), search, best, float(chi_square))
+    return Identified(tuple(problems), tuple(noises), search, best, float(chi_square))
 
 
 def _informed(problem: Problem, noise: NoiseFit, *, first: bool) -> Kind:

@@ -29,6 +29,7 @@ STRUCTURES: Mapping[str, tuple[str, ...]] = {
     "smooth estimator": ("smooth_estimator",),
 }
 ALWAYS = ("turbulence", "slow_turbulence", "gyro", "accelerometer", "pose_readings")
+DISTURBANCES = ("turbulence", "slow_turbulence")  # of these: forces and torques
 MAX_STEP = 1.5  # of a hyperparameter's logarithm at once
 FIRST_DAMPING, MAX_DAMPING = 0.1, 1e6  # of the information
 
@@ -92,6 +93,7 @@ class Fitter:
         self.turning: Turning | None = None
         self._residuals: list[tuple[Floats, Floats]] = []
         self.theta = np.zeros(problem.what.width)
+        self.moving = np.ones(len(self.names), dtype=bool)
 
     def use(self, duration: float) -> None:
         """Fit on flights in turn until they last for some seconds."""
@@ -144,11 +146,17 @@ class Fitter:
             X = -flat[:, 1:]
             M, g = M + X.T @ X, g + X.T @ flat[:, 0]
         size = np.sqrt(np.diag(M))
+        sizes = [std for one in what.discrepancies for std in one.deviations]
         lasting = np.array([True] * len(what.columns) + [n.lasts in ("always", "flight") for n in what.nuisances])
+        lasting = np.concatenate([lasting, np.ones(len(sizes), dtype=bool)])
         used = (size > 0) & lasting
         scaled = M[np.ix_(used, used)] / size[used] / size[used][:, None]
         prior = np.concatenate(
-            [np.full(len(what.columns), self.problem.thresholds.ridge), [1 / n.std**2 for n in what.nuisances]]
+            [
+                np.full(len(what.columns), self.problem.thresholds.ridge),
+                [1 / n.std**2 for n in what.nuisances],
+                [1 / std**2 for std in sizes],
+            ]
         )[used]
         of_nuisances = np.arange(what.width)[used] >= len(what.columns)
         prior[of_nuisances] /= size[used][of_nuisances] ** 2
@@ -234,7 +242,7 @@ class Fitter:
 
     def _step(self, logs: Floats, gradient: Floats, fisher: Floats, damping: float) -> Floats:
         """A damped step; parameters at a bound that would leave it are held."""
-        free, step = np.ones(len(logs), bool), np.zeros(len(logs))
+        free, step = self.moving.copy(), np.zeros(len(logs))
         for _ in range(4):
             places = np.flatnonzero(free)
             step[:] = 0.0
@@ -256,6 +264,17 @@ def fit_noise(
         for _ in range(2):
             _relinearised_fit(fitter, t.first_seconds, t.first_steps, only)
     return _relinearised_fit(fitter, t.seconds, t.steps, only)
+
+
+def refit_disturbances(problem: Problem, noise: NoiseFit, only: Sequence[int]) -> NoiseFit:
+    """The noise with the turbulence's values at their best beside some candidates and all discrepancies: what these do
+    not explain it takes for its own. Along present references."""
+    fitter = Fitter(problem, noise.structure, noise.values)
+    fitter.moving = np.array([name.split(".")[0] in DISTURBANCES for name in fitter.names])
+    gain = fitter.gain(fitter.logs)
+    fitter.linearise(only)
+    fitter.profile(gain)
+    return fitter.ascend(problem.thresholds.steps)
 
 
 def _relinearised_fit(fitter: Fitter, duration: float, steps: int, only: Sequence[int] | None) -> NoiseFit:

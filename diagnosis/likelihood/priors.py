@@ -12,3 +12,10 @@ ATTITUDE_CLOCK = 0.002  # s, of the attitude beyond the velocity
 LEVEL = 0.002  # rad, of the pose's axes on the body
 LEVEL_OF_ESTIMATOR = 0.01  # rad
 DISCREPANCY = 0.01  # of a channel's own explained motion, in each block of time anew
+SIZES = (0.03, 0.1, 0.3, 1.0)  # of the model's own motion, that a force or torque which no effect is may have
+FUNCTIONS = {  # what that may be a function of: fineness of one over the quantities' deviations, and how many
+    "state": (0.35, 12),
+    "velocity": (1.5, 16),
+    "place": (3.0, 20),
+    "time": (1.0, 8),
+}

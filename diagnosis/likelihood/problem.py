@@ -9,6 +9,7 @@ import numpy as np
 
 from diagnosis.likelihood.beginnings import beginning
 from diagnosis.likelihood.columns import Candidates, Starts, about, fitted_uses, has_states, inputs
+from diagnosis.likelihood.features import Discrepancy
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
 from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant
 from diagnosis.likelihood.innovations import start
@@ -30,7 +31,7 @@ class Information:
     """Sums of a segment over blocks of time, of whitened innovations nu and of their slopes -X in the parameters.
 
     group: number of the flight. M: (blocks, k, k) sums of X' X. g: (blocks, k) sums of X' nu. squares: (blocks,) sums
-    of nu' nu. count: readings in all blocks. rows: of them.
+    of nu' nu. count: readings in all blocks. rows: of them. log_likelihood: of all blocks.
     """
 
     group: int
@@ -39,6 +40,7 @@ class Information:
     squares: Floats
     count: int
     rows: int
+    log_likelihood: float
 
 
 @dataclass(eq=False)
@@ -76,6 +78,17 @@ class Problem:
                 self.starts[place] |= self._begun(place, candidate, along[place], all_of_it=True)[0]
         self.what = about(self._bare, self.vehicle, self.catalogue, self.fitted)
 
+    def with_discrepancies(self, discrepancies: Sequence[Discrepancy]) -> Problem:
+        """Problem of these flights about these values, with some discrepancies among the columns."""
+        made = replace(self, what=replace(self._bare, discrepancies=tuple(discrepancies)))
+        made._beginnings = self._beginnings
+        return made
+
+    def of(self, flights: Sequence[FlightRows]) -> Problem:
+        """Other flights of the same kind of logs, with nothing fitted and no discrepancies."""
+        bare = replace(self._bare, discrepancies=())
+        return replace(self, flights=flights, what=bare, fitted={}, references={}, starts={})
+
     @property
     def uses(self) -> list[EffectUse]:
         """The vehicle file's effects with the candidates that are fitted."""
@@ -110,7 +123,7 @@ class Problem:
         """The reference of each flight, or of some, becomes what the filter predicts from earlier rows."""
         for place in range(len(self.flights)) if places is None else places:
             along = self.along(place)
-            _, states = start(gain, 1).advance(along.model, *_data(along), path=True)
+            _, states = start(gain, 1).advance(along.model, *data(along), path=True)
             self.references[place] = moved_reference(along.reference, states)
 
     def columns(self, place: int, along: Along, only: Sequence[int] | None = None) -> tuple[Floats, Floats]:
@@ -160,16 +173,16 @@ class Problem:
         for place, rows in enumerate(self.flights):
             along = self.along(place)
             B, D = self.columns(place, along, only)
-            B0, D0 = _data(along)
+            B0, D0 = data(along)
             white, states = start(gain, 1 + B.shape[2]).advance(
                 along.model, np.concatenate([B0, B], 2), np.concatenate([D0, -D], 2), path=True
             )
             moved = noise.inputs(states, white[:, :, 0] @ inverse.T)
             by_noise, _ = start(gain, len(noise.V)).advance(along.model, *moved)
-            made.append(self._summed(rows, np.concatenate([white, by_noise], axis=2), noise))
+            made.append(self._summed(rows, np.concatenate([white, by_noise], axis=2), gain, noise))
         return made
 
-    def _summed(self, rows: FlightRows, white: Floats, noise: NoiseSlopes) -> Information:
+    def _summed(self, rows: FlightRows, white: Floats, gain: Gain, noise: NoiseSlopes) -> Information:
         first, length = int(self.thresholds.burn_in / rows.period), max(1, int(self.thresholds.block / rows.period))
         M, g, squares, counted, H = [], [], [], 0, len(noise.V)
         for begin in range(first, len(white), length):
@@ -182,7 +195,9 @@ class Problem:
             g[-1][-H:] += noise.score(part[:, :, 0])
             squares.append(nu @ nu)
             counted += len(part)
-        return Information(rows.group, np.array(M), np.array(g), np.array(squares), counted * white.shape[1], counted)
+        likelihood = -(sum(squares) + counted * gain.log_determinant) / 2  # but for a constant
+        sums = np.array(M), np.array(g), np.array(squares)
+        return Information(rows.group, *sums, counted * white.shape[1], counted, float(likelihood))
 
 
 def _key(place: int, candidate: Candidate) -> Hashable:
@@ -190,5 +205,6 @@ def _key(place: int, candidate: Candidate) -> Hashable:
     return place, candidate.key, tuple(candidate.at.items())
 
 
-def _data(along: Along) -> tuple[Floats, Floats]:
+def data(along: Along) -> tuple[Floats, Floats]:
+    """Inputs of the filter by which a pass gives a flight's own innovations."""
     return np.ascontiguousarray(along.defect[:, :, None]), np.ascontiguousarray(along.difference[:, :, None])

@@ -1,1 +1,1 @@
-"""Which effects are missing: candidates, the regression over them, search, rivals, tests of the residuals."""
+"""Candidates, and the regression over them: of residuals, their noise and the gust."""

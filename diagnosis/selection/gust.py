@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import GustProfile, Regression
 from diagnosis.thresholds import DEFAULT, GustThresholds
@@ -105,14 +104,6 @@ def signal_of(gust: Gust, regression: Regression) -> Floats | None:
         return None
     slopes = np.concatenate([x[:, :, list(wind)[:2]] for x in regression.columns])  # by world x and y, 1/s
     return np.asarray(gust.intensity * np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0)))
-
-
-def turbulence_of(gust: Gust, regression: Regression) -> Floats | None:
-    """(12,) the same of air that moves vertically as well: of each kind of channel in all axes what the largest has."""
-    signal = signal_of(gust, regression)
-    if signal is None:
-        return None
-    return np.repeat(np.max(np.reshape(signal, (-1, channels.AXES)), axis=1), channels.AXES)
 
 
 def _over_still_air(profile: GustProfile) -> Floats:

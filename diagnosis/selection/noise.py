@@ -62,12 +62,6 @@ class NoiseModel:
         windows = as_strided(here, shape, (here.strides[0], width * here.itemsize, here.itemsize), writeable=False)
         return np.asarray((self._weights @ windows).reshape(shape[0], *here.shape[1:]))
 
-    def whiten_one(self, place: int, values: Floats) -> Floats:
-        """Values (m, ...) of the active channel at a place, by its own filter alone: (m - order, ...)."""
-        order, count = self.order, len(values) - self.order
-        parts = (a * values[order - lag : order - lag + count] for lag, a in enumerate(self.filters[place]))
-        return np.asarray(sum(parts) / self.level[place])
-
 
 def estimate_noise(
     residuals: Sequence[Floats],

@@ -259,21 +259,6 @@ class Regression:
         by_flight = np.stack(gains, axis=1), np.stack(grams, axis=1), np.stack(products, axis=1)
         return GustProfile(tuple(variances), by_flight[0], by_flight[1], by_flight[2], shared)
 
-    def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
-        """(m, 12) residual of each segment without the chosen columns, its flight's biases and what flights share."""
-        where = [*chosen, *(i for i in self.shared.columns if i not in chosen)]
-        shared = dict(zip(self.shared.columns, self.nuisance_values(chosen).tolist(), strict=True))
-        theta = np.concatenate([self.solve(chosen)[0], [shared[i] for i in where[len(chosen) :]]])
-        off = []
-        for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
-            places = list(self.biases.columns)
-            inner = gram[np.ix_(places, places)] + np.diag(self.biases.information)
-            off.append(np.linalg.solve(inner, product[places] - gram[np.ix_(places, where)] @ theta))
-        return [
-            y - x[:, :, where] @ theta - x[:, :, list(self.biases.columns)] @ off[flight]
-            for y, x, flight in zip(self.rows, self.columns, self.flight_of, strict=True)
-        ]
-
 
 @dataclass(frozen=True, eq=False)
 class GustProfile:

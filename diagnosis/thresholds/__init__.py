@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from diagnosis.thresholds.estimation import (
     AcceptanceThresholds,
-    ConsistencyThresholds,
     EquationErrorThresholds,
     OutputErrorThresholds,
     RelevanceThresholds,
@@ -42,7 +41,6 @@ from diagnosis.thresholds.readings import (
 from diagnosis.thresholds.searching import (
     GustThresholds,
     RegressionThresholds,
-    ResidualTestThresholds,
     SearchThresholds,
 )
 
@@ -63,12 +61,10 @@ class Thresholds(ThresholdGroup, frozen=True):
     regression: RegressionThresholds = RegressionThresholds()
     search: SearchThresholds = SearchThresholds()
     gust: GustThresholds = GustThresholds()
-    residual_tests: ResidualTestThresholds = ResidualTestThresholds()
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
     output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
-    consistency: ConsistencyThresholds = ConsistencyThresholds()
     likelihood: LikelihoodThresholds = LikelihoodThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
@@ -85,7 +81,6 @@ __all__ = [
     "AcceptanceThresholds",
     "CommandCurveThresholds",
     "CompletionThresholds",
-    "ConsistencyThresholds",
     "DataChecks",
     "DatasetThresholds",
     "EquationErrorThresholds",
@@ -101,7 +96,6 @@ __all__ = [
     "RegimeThresholds",
     "RegressionThresholds",
     "RelevanceThresholds",
-    "ResidualTestThresholds",
     "RotorHoldThresholds",
     "RotorMomentChecks",
     "SearchThresholds",

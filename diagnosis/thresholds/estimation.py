@@ -73,20 +73,15 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
     """Held-out flights judge, once, the set of effects that was selected on the others.
 
     max_ratio: of the held-out reduced chi-square with an effect over that without it. [margins: neither]
-    typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
-    flights]
     """
 
     max_ratio: Share = 0.999
-    typical_window: Positive = 2.0
 
 
 class RelevanceThresholds(ThresholdGroup, frozen=True):
     """Smallest change that matters, and chance.
 
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
-    min_motion: RMS by which an effect changes a channel over that of the motion which the model explains there, below
-        which it is a hint in every channel, and so is what a test of the residuals finds. [definition: 1 %]
     max_rise: of the same that is no loss, when an effect is put in. [definition: that of `min_rise`]
     max_open_loop_rise: of an error of the open loop over the motion that it predicts, that is no loss. [definition:
         5 mm of a metre]
@@ -98,7 +93,6 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     """
 
     min_rise: Score = 0.02
-    min_motion: Share = 0.01
     max_rise: Score = 0.02
     max_open_loop_rise: Score = 0.005
     min_axis_floor: Share = 1e-3
@@ -106,21 +100,3 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     block: Positive = 2.0
     min_blocks: Count = 8
     min_agreement: Share = 0.5
-
-
-class ConsistencyThresholds(ThresholdGroup, frozen=True):
-    """Whether an effect has one value.
-
-    max_drift: of its signal between where it acts strongly and weakly, or early and late in a flight, over the signal.
-    [results/verdicts.md: right forms 0.00 to 0.08, a form in place of another from 0.3]
-    deviations: of that difference from none, that is not chance. [convention: 95 %]
-    sure: the same, above which an effect has no one value though no test of the residuals rejects. [decisions: a
-        constant that warms up]
-    min_over_noise: RMS of what the difference explains over the noise, above which that is so. [definition: 0.2 raises
-        the error by 2 %]
-    """
-
-    max_drift: Share = 0.2
-    deviations: Positive = 2.0
-    sure: Positive = 5.0
-    min_over_noise: Score = 0.2

@@ -10,41 +10,14 @@ from diagnosis.thresholds.group import Count, Factor, Positive, Score, Share, Sh
 
 
 class VerdictThresholds(ThresholdGroup, frozen=True):
-    """Limits above which the residual tests reject, and how effects are reported.
+    """How a gust and a gain of commands are reported.
 
-    max_agreement: of accelerometer and pose at low frequency. [planted truth]
-    max_predictable: log-likelihood a residual that a function of the state gains. [planted truth]
-    max_line: power of a line over its surroundings. [planted truth]
-    max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [margins: neither]
-    max_chi_square: reduced, of a typical held-out window. [planted truth]
-    min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
-    raises the error by 2 %]
-    min_over_gust: the same over floor and gust together, where one is named. [results/verdicts.md: gusts alone leave
-    up to 0.9]
-    max_share: of the same statistic before the effects, which their imperfect form may leave. [margins: neither]
-    max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that
-    much is twice the floor]
-    max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: air in motion is no
-    function of the state]
-    max_line_in_gust: share of a gust's power that a line in the spectrum may have. [decisions: a load that swings is no
-    gust]
-    min_swinging: squared error that a load which swings explains over what is left above the floor, below which its
-    phase excuses nothing. [definition: what is left is more than the load]
+    max_gust_predictable: share of a gust's power that a force which is a function of state, place or time, or a line,
+    may have. [decisions: air in motion is no function of the state]
     resamples: of flights, for the confidence. [margins: neither]
     """
 
-    max_agreement: Score = 5.5
-    max_predictable: Score = 0.01
-    max_line: Score = 10.0
-    max_line_swinging: Score = 30.0
-    max_chi_square: Factor = 1.5
-    min_over_floor: Score = 0.2
-    min_over_gust: Score = 1.25
-    max_share: Share = 0.03
-    max_excused: Score = 1.75
     max_gust_predictable: Share = 0.35
-    max_line_in_gust: Share = 0.1
-    min_swinging: Score = 1.0
     resamples: Count = 40
 
 

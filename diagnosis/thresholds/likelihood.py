@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diagnosis.thresholds.group import Count, Positive, ThresholdGroup
+from diagnosis.thresholds.group import Count, Positive, Share, ThresholdGroup
 
 
 class LikelihoodThresholds(ThresholdGroup, frozen=True):
@@ -26,6 +26,12 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
         of each second. [decisions: calibrated on other seeds than the page's, and on its recordings]
     named: log of the odds of the best set against that without an effect, from which on it is named; within it
         others are as likely in its place. [convention: 20 to 1]
+    form: of what effects make, over which what is left of a function of the state refutes their form. [decisions:
+        right forms leave 0.00 to 0.14, a form in place of another from 0.3]
+    max_left: discrepancies that are sought beside each other. [cost]
+    line_turns: of a line in the longest flight, below which it is a change with time. [definition]
+    line_highest: frequency of a line over the rows' rate. [definition: below half]
+    line_surroundings: frequencies that a flight tells apart, over whose median power a line is. [convention]
     max_effects: in one set. [convention]
     bound_slack: of a value of the file's own effects, in its stated deviations, by which noise may carry it over a
         bound, where it then stays. [convention: 95 %]
@@ -47,6 +53,11 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     settled_step: Positive = 0.3
     trusted: Positive = 2.0
     named: Positive = 3.0
+    form: Share = 0.2
+    max_left: Count = 6
+    line_turns: Positive = 3.0
+    line_highest: Share = 0.4
+    line_surroundings: Count = 30
     max_effects: Count = 10
     bound_slack: Positive = 2.0
     min_improvement: Positive = 0.5

@@ -344,8 +344,6 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     [results/verdicts.md, seeds below 964]
     draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
     predicts of them. [margins: neither]
-    max_slope_change: ratio of a fit's slope to that with which the noise was made, either way, above which it is made
-    again. [formula: 1.5 in the density of the error, as much as its time constants are unsure]
     """
 
     velocity_error: Positive = 0.2
@@ -358,4 +356,3 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     certain: Share = 0.5
     unsure: Share = 0.5
     draws: Count = 4
-    max_slope_change: Factor = 1.25

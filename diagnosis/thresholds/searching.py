@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from diagnosis.thresholds.group import Count, Factor, Positive, Range, Score, Share, ThresholdGroup
+from diagnosis.thresholds.group import Factor, Positive, Range, Score, Share, ThresholdGroup
 
 
 class RegressionThresholds(ThresholdGroup, frozen=True):
@@ -59,50 +59,3 @@ class GustThresholds(ThresholdGroup, frozen=True):
     strengths: Annotated[int, Meta(ge=3)] = 26
     part: Positive = 30.0
     over_error: Factor = 2.0
-
-
-class ResidualTestThresholds(ThresholdGroup, frozen=True):
-    """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
-
-    features: random Fourier features of state or position. [margins: neither]
-    chances: surrogate (time-shifted) residuals, of which the most predictable shows what chance predicts.
-        [formula: one in nine exceeds all of eight]
-    state_fineness: of a feature of the state, over the standard deviation of the state. [margins: neither]
-    velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [margins: neither]
-    position_fineness: the same of position alone, where a field of air repeats. [margins: neither]
-    ridges: that are tried. [margins: neither]
-    low_band: in which accelerometer and pose must not agree, Hz. [margins: neither]
-    reference_band: against which that is compared, Hz. [margins: double]
-    line_band: in which a spectral line is sought, Hz. [margins: neither]
-    line_rows: of a periodogram. [margins: neither]
-    line_refinement: frequencies within a bin of which a line's own is the best. [definition]
-    line_surroundings: bins over which a line's surroundings are the median. [margins: neither]
-    agreement_powers: independent ones in the low band with which `max_agreement` holds; with fewer a torque's slow part
-    exceeds it by chance. [`results/short_logs.md`, seeds from
-    930,000: torques are 2.75 times as strong there]
-    window_width: noise bandwidth of a window of Hann, bins. [formula]
-    chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
-    line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
-    deviation of 100 values holds to 7 %]
-    state_shift: by which the state is taken later, and earlier, where it predicts, s. [results/counts.md,
-    seeds 24000 on: where nothing was hidden it predicts 6 to 27 times as much later as earlier, of forms outside the
-    catalogue 0.9 to 1.2 times]
-    """
-
-    chances: Count = 8
-    features: Count = 120
-    state_fineness: Positive = 0.35
-    velocity_fineness: Positive = 1.5
-    position_fineness: Positive = 1.5
-    ridges: tuple[Positive, ...] = (1e2, 1e3, 1e4, 1e5)
-    low_band: Range = (0.05, 1.5)
-    reference_band: Range = (2.5, 6.5)
-    line_band: Range = (0.6, 7.0)
-    line_rows: Annotated[int, Meta(ge=64)] = 512
-    line_refinement: Count = 9
-    line_surroundings: Count = 61
-    agreement_powers: Count = 25
-    window_width: Factor = 1.5
-    chance: Share = 1e-3
-    line_draws: Annotated[int, Meta(ge=10)] = 100
-    state_shift: Positive = 0.16

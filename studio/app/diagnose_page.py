@@ -7,7 +7,7 @@ from typing import Any
 import dash_mantine_components as dmc
 from dash import dcc, html
 
-from diagnosis.report import in_flight_sentence, refusal_sentence
+from diagnosis.report import in_flight_sentence, refusal_sentence, score_sentence
 from studio.app.heads import head, lock, refusal
 from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, out_of_date, table
@@ -75,6 +75,8 @@ def _verdict(diagnosed: Diagnosed, name: str) -> Any:
     if diagnosis.in_flight:
         texts = [in_flight_sentence(one, diagnosis.rotors) for one in diagnosis.in_flight]
         parts += [dmc.Text("Beside what the model followed in flight:"), html.Ul([html.Li(text) for text in texts])]
+    if diagnosis.held_out_score is not None:
+        parts.append(dmc.Text(f"{score_sentence(diagnosis.held_out_score)}."))
     if diagnosis.not_excited:
         text = f"Not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}."
         parts.append(dmc.Text(text, size="sm", c="dimmed"))

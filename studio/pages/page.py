@@ -16,7 +16,7 @@ import jinja2
 from plotly import offline
 
 from diagnosis.models.channels import channel_name
-from diagnosis.report import refusal_sentence, remains
+from diagnosis.report import refusal_sentence, remains, score_sentence
 from dynamics.files import write_whole
 from studio.pages.colours import DARK
 from studio.pages.numbers import quantity_shown, shown, unit_shown
@@ -80,6 +80,7 @@ def _environment() -> jinja2.Environment:
     environment.filters["channel"] = channel_name
     environment.filters["remains"] = remains
     environment.filters["refusal"] = refusal_sentence
+    environment.filters["score"] = score_sentence
     return environment
 
 

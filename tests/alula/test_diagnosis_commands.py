@@ -76,7 +76,9 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
     assert code == 0
     assert "mass" in shown
     assert "one flight only" not in shown
+    assert "One-step log score" in shown
     verdict = json.loads(file.read_text())
+    assert verdict["held_out_score"]["gain"] > 2 * verdict["held_out_score"]["gain_std"]
     contract = {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
     added = {
         "refused",
@@ -86,6 +88,7 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
         "next_reference",
         "command_gain",
         "in_flight",
+        "held_out_score",
         "alula_version",
     }
     assert set(verdict) == contract | added

@@ -34,10 +34,9 @@ def test_every_leftover_has_advice_and_words_of_its_own(test):
     assert REMAINS[test] in leftover_sentence(left(test))
 
 
-def test_a_line_is_named_by_its_frequency_and_a_torque_as_a_torque():
+def test_a_line_is_named_by_its_frequency_and_what_changes_with_time_is_warmed_up():
     assert "line at 4 Hz" in advice(leftover=[left("spectral_line", frequency=4.0)])
-    assert "slow torque at speed m/s from 3 to 5" in advice(leftover=[left("low_frequency_agreement", "angular z")])
-    assert "slow force at speed" in advice(leftover=[left("low_frequency_agreement")])
+    assert "warm motors" in advice(leftover=[left("predictable_from_time")])
 
 
 def test_look_alikes_come_first_and_hints_last():
@@ -69,6 +68,6 @@ def test_there_are_never_more_than_a_few():
 
 def test_evidence_says_when_and_where():
     text = evidence_sentence(left())
-    assert "0.05, its threshold 0.01" in text
+    assert "log of the odds 0.05, required 0.01" in text
     assert "one.csv 10.0 to 12.0 s" in text
     assert "speed m/s 3 to 5" in text

@@ -8,7 +8,7 @@ import pytest
 from diagnosis.estimation.acceptance import (
     deviations_from_neutral,
 )
-from diagnosis.estimation.evaluation import reduced_chi_square, typical_chi_square
+from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.paired_errors import ModelErrors, channel_changes
 from dynamics.effects import CATALOGUE
@@ -67,10 +67,9 @@ def test_an_effect_on_one_axis_counts_as_much_as_one_on_all(of_noise):
     one, every = (
         compared_changes([y + more for y in after], after, of_noise, floor)["angular"] for more in (about_z, wave)
     )
-    assert one.fall == pytest.approx(every.fall, rel=0.2)
-    assert one.fall > limits.min_rise
+    assert 3 * one.rise == pytest.approx(every.rise, rel=0.2)
+    assert one.rise < -limits.min_rise / 3
     assert one.before == pytest.approx(np.sqrt(np.mean(np.sum((after[0] + about_z)[:, 6:9] ** 2, axis=1))), rel=0.05)
-    assert every.rise == pytest.approx(-every.fall, rel=0.3)
 
 
 def test_what_errors_of_measured_states_make_of_a_model_is_no_error_of_the_model(of_noise):
@@ -86,7 +85,6 @@ def test_what_errors_of_measured_states_make_of_a_model_is_no_error_of_the_model
     assert not any(change.is_worse() for change in compared.values())
     fallen = -np.mean(compared["imu"].by_axis)  # the mean square of what the drag pushes, of unit velocity
     assert fallen == pytest.approx(drag**2, abs=0.15)
-    assert compared["imu"].size == pytest.approx(drag * np.sqrt(3), rel=0.3)
 
 
 def smooth(random, size):
@@ -112,7 +110,6 @@ def test_what_else_is_missing_does_not_hide_a_change(of_noise):
 def test_noise_alone_has_a_reduced_chi_square_of_one(of_noise):
     rows = noise_rows(3, count=10)
     assert reduced_chi_square(rows, white()) == pytest.approx(1.0, abs=0.03)
-    assert typical_chi_square(rows, of_noise) == pytest.approx(1.0, abs=0.03)
 
 
 def test_a_rotor_that_lost_torque_alone_is_no_rotor_that_lost_thrust(arpl_250g):

@@ -43,7 +43,7 @@ def test_marginal_equations_are_the_joint_solution_with_the_prior():
     np.testing.assert_allclose(theta, together[free], rtol=1e-9)
 
 
-def test_a_flights_own_bias_is_taken_out_of_its_residuals(arpl_250g):
+def test_a_flights_own_bias_is_no_other_effect(arpl_250g):
     random = np.random.default_rng(3)
     columns = [random.standard_normal((100, CHANNELS, 2)) for _ in range(3)]
     own = [2.0, -1.0, 0.5]
@@ -55,8 +55,6 @@ def test_a_flights_own_bias_is_taken_out_of_its_residuals(arpl_250g):
     of_all = regression(arpl_250g, candidates, columns, rows, biases=Biases((1,), np.array([1e-4])))
     theta, _ = of_all.solve([0])
     assert theta[0] == pytest.approx(0.4, abs=0.1)
-    for residual in of_all.residuals_after([0]):
-        assert np.mean(residual**2) == pytest.approx(1.0, abs=0.15)
 
 
 def test_what_all_flights_share_is_fitted_beside_the_chosen_columns(arpl_250g):
@@ -84,5 +82,3 @@ def test_what_all_flights_share_is_fitted_beside_the_chosen_columns(arpl_250g):
     alone = np.array([0.0, of_all.nuisance_values([])[0], 0.0])
     assert gain == pytest.approx(cost(alone) - cost(together), rel=1e-6)
     assert abs(frozen.solve([0, 2])[0][0] - 0.3) > 0.3 > 10 * abs(theta[0] - 0.3)
-    residual = np.concatenate([r.ravel() for r in of_all.residuals_after([0, 2])])
-    np.testing.assert_allclose(residual, y - x @ together, atol=1e-6)
