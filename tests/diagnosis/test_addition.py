@@ -81,7 +81,7 @@ def rotor_drag(vehicle, dataset, *, of_file, fitted):
     vehicle = with_candidates(dragging, [drag], {"rotor_drag.coefficient": fitted})
     estimates = {("rotor_drag", "coefficient"): ParameterEstimate(fitted, 1e-9, "")}
     fit = Fit(vehicle, estimates, (drag,), np.array([[1e-18]]), information=np.array([[1e18]]))
-    return Accepted(fit, (), {}, np.ones(12)), regression
+    return Accepted(fit, (), np.ones(12)), regression
 
 
 def answered(regression, accepted):

@@ -35,6 +35,7 @@ NO_THRESHOLDS = {
     "MAX_STEP", "FIRST_DAMPING", "MAX_DAMPING",  # of scoring, which ends at the same optimum
     "PARAMETER_STEP", "START_STEP", "BETWEEN",  # of hidden states: differences, points between a grid's
     "BEFORE_READING",  # where a line has its mean effect
+    "MIN_BLOCKS", "PASSES",  # of a held-out score: a deviation needs two, a reference two
     "CHANNELS", "FINE",  # of arrays; of a periodogram that is interpolated
     "FREQUENCIES", "AGREEMENT",  # a component of noise and its own spectrum, to rounding
 }  # fmt: skip
