@@ -21,10 +21,10 @@ STILL = 1e-6  # deviation of a quantity over its mean, below which it does not m
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """Smooth functions of one kind of quantity; a constant is nearly one of them.
+    """Smooth functions of one kind of quantity, with a mean of zero over the flights.
 
-    mean, scale: (d,) of the quantities. directions: (d, j). phase: (j,). begins: s, of each flight.
-    spread: root of the functions' summed mean squares over the flights.
+    mean, scale: (d,) of the quantities. directions: (d, j). phase, middle: (j,). begins: s, of each flight.
+    spread: root of the functions' summed variances over the flights.
     """
 
     kind: str
@@ -33,6 +33,7 @@ class Smooth:
     scale: Floats
     directions: Floats
     phase: Floats
+    middle: Floats
     spread: float
 
     def __len__(self) -> int:
@@ -46,7 +47,7 @@ class Smooth:
     def along(self, rows: FlightRows, along: Along) -> Floats:
         """(N, j) along a flight."""
         scaled = (QUANTITIES[self.kind](rows, along, self.begins) - self.mean) / self.scale
-        return np.asarray(np.cos(scaled @ self.directions + self.phase))
+        return np.asarray(np.cos(scaled @ self.directions + self.phase) - self.middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,4 +154,7 @@ def smooth(
     phase = random.uniform(0, 2 * np.pi, count)
     scale = np.where(moves, scale, 1.0)
     waves = np.cos((values - mean) / scale @ directions + phase)
-    return Smooth(kind, begins, mean, scale, directions, phase, float(np.sqrt((waves**2).mean(0).sum())))
+    spread = float(np.sqrt(waves.var(0).sum()))
+    if spread < STILL:
+        return None
+    return Smooth(kind, begins, mean, scale, directions, phase, waves.mean(0), spread)

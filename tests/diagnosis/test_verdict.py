@@ -36,7 +36,7 @@ AMBIGUOUS = MissingEffect("a", None, {}, 1.0, ("b",))
 
 def left(kind, rms, channel=0):
     """A force that is a function of something, or a line, of this RMS."""
-    of = Line(0.5, (0,)) if kind == "line" else Smooth(kind, {}, *[np.zeros(0)] * 4, 1.0)
+    of = Line(0.5, (0,)) if kind == "line" else Smooth(kind, {}, *[np.zeros(0)] * 5, 1.0)
     return Left(Discrepancy(of, channel, 1.0), 12.0, channel, (), (np.full(4, rms),))
 
 

@@ -94,6 +94,7 @@ def test_functions_have_the_deviation_that_they_are_given():
             for _ in range(200)
         ]
         assert np.sqrt(np.mean(np.square(drawn))) == pytest.approx(0.4, rel=0.2)
+        np.testing.assert_allclose(np.mean(drawn, axis=1), 0.0, atol=1e-9)
 
 
 def test_a_force_by_place_stands_in_the_world_and_one_by_velocity_turns_with_the_body():
