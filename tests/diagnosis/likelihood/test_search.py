@@ -64,7 +64,7 @@ def made_up(
         X = random.standard_normal((3, 8, 5))
         y = X[:, :, 0] * 0.3 + random.standard_normal((3, 8))
         M, g = np.einsum("bri,brj->bij", X, X), np.einsum("bri,br->bi", X, y)
-        parts.append(Information(group, M, g, (y**2).sum(1), 24, 24))
+        parts.append(Information(group, M, g, (y**2).sum(1), 24, 24, -(y**2).sum() / 2))
         designs.append(X)
         readings.append(y)
     return small, parts, designs, readings
@@ -106,6 +106,7 @@ def test_evidence_is_the_ratio_of_the_gaussian_densities():
         prior = sum(search.log_prior[i] for i in members)
         assert scored.evidence - prior == pytest.approx(log_density(members) - log_density(()), rel=1e-9)
     assert any(search.score(m).evidence != IMPOSSIBLE for m in ((0,), (1,), (2,)))
+    assert search.total.base - len(y) / 2 * np.log(2 * np.pi) == pytest.approx(log_density(()), rel=1e-9)
 
 
 def test_more_of_the_same_flights_makes_a_small_error_of_the_model_no_surer():
