@@ -31,7 +31,7 @@ def answer(name: str) -> tuple[Identified, tuple[Left, ...]]:
     return result, left_over(result).left
 
 
-@pytest.mark.parametrize("name", ["nothing", "linear_drag"])
+@pytest.mark.parametrize("name", ["nothing", pytest.param("linear_drag", marks=pytest.mark.slow)])
 def test_where_the_catalogue_has_all_nothing_is_left(name):
     result, left = answer(name)
     assert left == ()
@@ -39,6 +39,7 @@ def test_where_the_catalogue_has_all_nothing_is_left(name):
     assert named == ([] if name == "nothing" else [name])
 
 
+@pytest.mark.slow
 def test_a_force_that_stands_in_the_room_is_one_of_the_place():
     _, left = answer("swirl")
     placed = [one for one in left if one.discrepancy.of.kind == "place"]
