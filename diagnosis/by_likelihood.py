@@ -22,7 +22,7 @@ from diagnosis.likelihood.named import Doubted, Named, named_effects
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
 from diagnosis.report import MissingEffect
-from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.candidates import Candidate, Identity
 from diagnosis.selection.gust import AirMotion, air_beside, gust_beside, gust_variance
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import about_fit
@@ -32,12 +32,11 @@ from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
 
 NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look at them with `alula inspect`."
-Identity = tuple[str, int | None]  # an effect's name and its rotor
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodAnswer:
-    """The named effects by the likelihood, and what the tests of their residuals need.
+    """The named effects by the likelihood, and the regression's view of them.
 
     result: the best set. regression: about the named effects. air: beside them.
     """
@@ -130,8 +129,8 @@ def answer_beside(
             detail, own = {"share": left.shares[one.number], "required": limits.form}, one.candidate
             refused.append(Refused(own.effect.name, own.rotor, "another_form", detail, "", values[one.number]))
         elif one not in sure:
-            odds_beside = float(np.exp(_odds(result.search, [*sure, one], one)))
-            refused.append(_refused(Doubted(one.candidate, values[one.number], odds_beside, 0.0), required))
+            log_odds = min(left.odds[one.number], _odds(result.search, [*sure, one], one))
+            refused.append(_refused(Doubted(one.candidate, values[one.number], float(np.exp(log_odds)), 0.0), required))
     return _about_named(result, named, refused, first, dataset)
 
 

@@ -152,5 +152,4 @@ def _worst(segments: Sequence[Segment], rows: Sequence[Floats], regression: Regr
     duration = regression.thresholds.regimes.worst_window
     index, place, level = worst_window(rows, regression.noise.floor, regression.rate, duration)
     segment = segments[index]
-    start = segment.start + segment.filters.edge + place / regression.rate
-    return WorstSeconds(segment.flight, round(start, 2), round(level, 2))
+    return WorstSeconds(segment.flight, round(float(segment.decimated_times[place]), 2), round(level, 2))

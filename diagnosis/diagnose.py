@@ -145,9 +145,10 @@ def _answered(
     progress(0.6, "what no effect explains")
     left = left_over(answer.result)
     if left.left:
-        alone, answer = answer, answer_beside(answer, left, first, dataset, part_of(progress, 0.7, 0.9))
-        if len(answer.named) < len(alone.named):  # what those made is left as well
-            left = left_over(answer.result, {(one.name, one.rotor) for one in answer.accepted.refused})
+        answer = answer_beside(answer, left, first, dataset, part_of(progress, 0.7, 0.9))
+        refuted = {(one.name, one.rotor) for one in answer.accepted.refused if one.reason == "another_form"}
+        if refuted:  # what those made is left as well
+            left = left_over(answer.result, refuted)
     judged = _judged(first, answer, left.left, dataset)
     effects = (
         with_gust(answer.missing(), judged.air, sum(one.log_odds for one in answer.named))
@@ -230,14 +231,13 @@ class _Judged:
     """Residuals and leftovers of an answer.
 
     air: beside its effects. left: what no effect is.
-    after, fitted: (m, 12) on the held-out and on the fitted segments.
+    after: (m, 12) on the held-out segments.
     gusty: whether a gust is named. refused: a gust that is not.
     """
 
     air: AirMotion
     left: tuple[Left, ...]
     after: list[Floats]
-    fitted: list[Floats]
     gusty: bool
     refused: tuple[Refused, ...]
 
@@ -251,7 +251,6 @@ def _judged(first: Regression, answer: LikelihoodAnswer, left: tuple[Left, ...],
         air=air,
         left=left,
         after=residuals_in(regression, vehicle, dataset.held_out),
-        fitted=residuals_in(regression, vehicle, dataset.fitted),
         gusty=air.detected and refused is None,
         refused=() if refused is None else (refused,),
     )

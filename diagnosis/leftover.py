@@ -61,20 +61,14 @@ def _channel(one: Left, segment: Segment) -> int:
     return shown.start + one.channel
 
 
-def _times(segment: Segment) -> Floats:
-    """(m,) s in the log's time, of a segment's reduced rows."""
-    count = len(segment.smooth[segment.decimated])
-    return np.asarray(segment.start + segment.filters.edge + np.arange(count) / segment.decimated_rate)
-
-
 def _course(one: Left, segment: Segment) -> Floats:
     """(m,) of it in a segment's reduced rows, zero where it is not."""
     here = [i for i, rows in enumerate(one.rows) if rows.segment.flight == segment.flight]
     if not here:
-        return np.zeros(len(_times(segment)))
+        return np.zeros(len(segment.decimated_times))
     times, values = np.concatenate([time_of(one.rows[i]) for i in here]), np.concatenate([one.parts[i] for i in here])
     order = np.argsort(times)
-    return np.asarray(np.interp(_times(segment), times[order], values[order]))
+    return np.asarray(np.interp(segment.decimated_times, times[order], values[order]))
 
 
 def _alone(parts: Sequence[Floats], channel: int, rms: float) -> tuple[list[Floats], Floats]:
@@ -95,7 +89,7 @@ def _worst_seconds(
     """The windows where it is largest, none within another."""
     windows = []
     for part, segment in zip(parts, segments, strict=True):
-        count, times = max(1, round(thresholds.worst_window * segment.decimated_rate)), _times(segment)
+        count, times = max(1, round(thresholds.worst_window * segment.decimated_rate)), segment.decimated_times
         for place in range(0, max(1, len(part) - count // 2), count):
             level = float(np.sqrt(np.mean(part[place : place + count] ** 2))) / (floor or np.inf)
             start = float(times[place])

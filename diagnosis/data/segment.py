@@ -107,6 +107,12 @@ class Segment:
         """The rows of the regression among the segment's."""
         return decimated_rows(len(self), self.rate, self.filters)
 
+    @property
+    def decimated_times(self) -> Floats:
+        """(m,) s in the log's time, of the rows of the regression."""
+        count = len(range(*self.decimated.indices(len(self))))
+        return np.asarray(self.start + self.filters.edge + np.arange(count) / self.decimated_rate)
+
     def low_pass(self, values: Floats) -> Floats:
         """The regression's low-pass over values (n, ...)."""
         return zero_phase(values, self.rate, self.filters.cutoff)

@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.rigid_body import OUTPUTS, Along, FlightModel
-from diagnosis.models.free_start import posterior_step
+from diagnosis.models.free_start import moved_start, posterior_step
 from diagnosis.selection.candidates import Candidate
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
@@ -65,8 +65,7 @@ def beginning(
             step = limits.free_start_difference
             slopes = np.stack([(pushed(off + row, n) - here) / step for row in step * np.eye(len(off))], axis=2)
             change = posterior_step(np.concatenate([slopes, errors[:n]], axis=2), left[:n] - here, off)
-            off = off + np.clip(change, -limits.free_start_step, limits.free_start_step)
-            off = np.clip(off, -limits.free_start_reach, limits.free_start_reach)
+            off = moved_start(off, change)
     columns = np.concatenate([pushed(off, len(rows))[:, :, None], errors], axis=2).reshape(-1, 8)
     y = left.ravel()
     rest = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0] if np.isfinite(columns).all() else y

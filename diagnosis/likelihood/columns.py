@@ -285,13 +285,13 @@ def _set_errors(what: Candidates, along: Along, acting: Floats, readings: Floats
 
 def _set_discrepancies(what: Candidates, rows: FlightRows, along: Along, acting: Floats, readings: Floats) -> None:
     """Set the inputs of what no effect is. acting: (k, N, 6). readings: (k, N, 12 + rotors)."""
-    first, values = len(what.columns) + len(what.nuisances), dict[int, Floats]()
+    first = what.of_discrepancies.start
+    values = {of: of.along(rows, along) for of in dict.fromkeys(one.of for one in what.discrepancies)}
     for one in what.discrepancies:
-        if id(one.of) not in values:
-            values[id(one.of)] = one.of.along(rows, along)
-        acting[first : first + len(one)] = one.acting(values[id(one.of)], along)
-        readings[first : first + len(one), :, 9:12] = acting[first : first + len(one), :, :3]
-        first += len(one)
+        columns = slice(first, first + len(one))
+        acting[columns] = one.acting(values[one.of], along)
+        readings[columns, :, 9:12] = acting[columns, :, :3]
+        first = columns.stop
 
 
 def _slopes(

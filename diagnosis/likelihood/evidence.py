@@ -178,6 +178,19 @@ def _marginal(
     return M_rest, g_rest, float(gained / 2)
 
 
+def integrated(M: Floats, g: Floats, std: Floats, at: Floats | float = 0.0) -> tuple[float, float, Floats]:
+    """Columns (k,) with information M and score g that are integrated out: by how much they lower the sum of squares,
+    the log of the determinant by which that widens, and their most probable change (k,).
+
+    std: (k,) of their priors about zero. at: their present values.
+    """
+    cholesky = np.linalg.cholesky(M * std * std[:, None] + np.eye(len(std)))
+    half = np.linalg.solve(cholesky, g * std - at / std)
+    quadratic = half @ half - np.sum((at / std) ** 2)
+    change = np.asarray(np.linalg.solve(cholesky.T, half) * std)
+    return float(quadratic), float(2 * np.log(np.diag(cholesky)).sum()), change
+
+
 def present(problem: Problem) -> Floats:
     """(k,) coefficients of the columns in the model about which all is linear, counted from each candidate's own."""
     now = np.zeros(len(problem.what.columns))
@@ -279,12 +292,12 @@ class Search:
         std = self.std[c]
         M, coarse = (s.M[np.ix_(c, c)] * std * std[:, None] + np.eye(len(c)) for s in (self.total, self.coarse))
         try:
-            covariance, cholesky = np.linalg.inv(M), np.linalg.cholesky(coarse)
+            covariance = np.linalg.inv(M)
+            quadratic, log_determinant, _ = integrated(self.coarse.M[np.ix_(c, c)], self.coarse.g[c], std)
         except np.linalg.LinAlgError:
             return nothing
         values = covariance @ (self.total.g[c] * std) * std
-        half = np.linalg.solve(cholesky, self.coarse.g[c] * std)
-        evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum() + sum(self.log_prior[i] for i in members)
+        evidence = (quadratic - log_determinant) / 2 + sum(self.log_prior[i] for i in members)
         slack = np.sqrt(np.diag(np.linalg.inv(coarse))) * std * self.problem.thresholds.bound_slack
         possible = self.within(members, values, slack)
         if possible is None:

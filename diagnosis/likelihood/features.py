@@ -79,15 +79,21 @@ class Discrepancy:
     """A force or torque by some functions.
 
     channel: of specific force x, y, z and angular acceleration x, y, z, in body axes; of a force by place in the
-    world's. deviation: of all of it, m/s^2 or rad/s^2.
+    world's. deviation: of all of it, m/s^2 or rad/s^2. tried: models of its kind, one of which it is.
     """
 
     of: Smooth | Line
     channel: int
     deviation: float
+    tried: float = 1.0
 
     def __len__(self) -> int:
         return len(self.of)
+
+    @property
+    def log_prior(self) -> float:
+        """Log of the share of the odds against none that each of the models tried has."""
+        return -float(np.log(self.tried))
 
     @property
     def deviations(self) -> Floats:

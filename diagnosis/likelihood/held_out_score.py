@@ -23,13 +23,13 @@ import numpy as np
 import scipy
 
 from diagnosis.data.segment import Segment
-from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Search, integrated
 from diagnosis.likelihood.flight_rows import rows_by_kind
 from diagnosis.likelihood.gain import Gain
 from diagnosis.likelihood.identify import Identified, command_values
 from diagnosis.likelihood.innovations import start
 from diagnosis.likelihood.problem import Problem, data
-from diagnosis.thresholds import DEFAULT
+from diagnosis.models.free_start import moved_start
 from dynamics.arrays import Floats
 
 MIN_BLOCKS = 2  # with which a difference has a deviation
@@ -155,15 +155,15 @@ class FlightScore:
             for flat, seconds in self.parts(place):
                 nu, X, inner = flat[:, 0], -flat[:, self._lasting], -flat[:, self._of_block]
                 sums = inner.T @ inner, inner.T @ nu
-                quadratic, log_determinant, change = _marginal(*sums, self._block_std)
+                quadratic, log_determinant, change = integrated(*sums, self._block_std)
                 slope = np.linalg.solve(sums[0] + np.diag(self._block_std**-2.0), inner.T @ X)
                 M[np.ix_(own, own)] += X.T @ X - X.T @ inner @ slope
                 g[own] += X.T @ (nu - inner @ change)
-                here = _marginal(M, g, self._std, self._begun)[:2]
+                here = integrated(M, g, self._std, self._begun)[:2]
                 squares = float(nu @ nu) - quadratic - (here[0] - last[0])
                 made.append(self._block_of(squares, log_determinant + here[1] - last[1], len(flat), seconds))
                 last = here
-        self._begin(_marginal(M, g, self._std, self._begun)[2])
+        self._begin(integrated(M, g, self._std, self._begun)[2])
         return made
 
     def parts(self, place: int) -> list[tuple[Floats, float]]:
@@ -187,14 +187,12 @@ class FlightScore:
 
     def _begin(self, change: Floats) -> None:
         """Move the starts by a step, as the fitted flights' do."""
-        limits, first = DEFAULT.prediction, len(self._flight)
+        first = len(self._flight)
         for number, place in enumerate(self._places):
             begun = self._problem.starts.setdefault(place, {})
             for j, i in enumerate(self._part):
                 at, std = first + number * len(self._part) + j, self._nuisances[i].std
-                step = np.clip(change[at], -limits.free_start_step * std, limits.free_start_step * std)
-                reach = limits.free_start_reach * std
-                begun[self._nuisances[i].of] = float(np.clip(self._begun[at] + step, -reach, reach))
+                begun[self._nuisances[i].of] = float(moved_start(self._begun[at], change[at], std))
 
 
 def _given_rotors(gain: Gain, problem: Problem) -> tuple[Floats, float]:
@@ -206,12 +204,3 @@ def _given_rotors(gain: Gain, problem: Problem) -> tuple[Floats, float]:
     cholesky = np.linalg.cholesky(gain.V[np.ix_(order, order)])
     whitening = scipy.linalg.solve_triangular(cholesky, np.linalg.inv(gain.whitening)[order], lower=True)
     return whitening[rotors:], float(2 * np.log(np.diag(cholesky)[rotors:]).sum())
-
-
-def _marginal(M: Floats, g: Floats, std: Floats, present: Floats | float = 0.0) -> tuple[float, float, Floats]:
-    """Of nuisances (k,) with information M and score g at present values: by how much they lower the sum of squares
-    where they are integrated out, the log of the determinant by which that widens, and their most probable change."""
-    cholesky = np.linalg.cholesky(M * std * std[:, None] + np.eye(len(std)))
-    half = np.linalg.solve(cholesky, g * std - present / std)
-    quadratic = half @ half - np.sum((present / std) ** 2)
-    return float(quadratic), float(2 * np.log(np.diag(cholesky)).sum()), np.linalg.solve(cholesky.T, half) * std

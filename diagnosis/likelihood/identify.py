@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.likelihood.evidence import IMPOSSIBLE, Kind, Scored, Search, present
 from diagnosis.likelihood.noise_fit import NoiseFit, fit_noise, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
-from diagnosis.thresholds import DEFAULT
+from diagnosis.models.free_start import moved_start
 from dynamics.arrays import Floats
 from dynamics.progress import Progress, no_progress
 
@@ -98,7 +98,7 @@ def command_values(search: Search, scored: Scored) -> dict[int, dict[str, float]
 def starts_of(kind: Kind, search: Search, best: Scored) -> dict[int, dict[str, float]]:
     """Where hidden states begin in each part of a flight beside a set's values: their most probable offsets from hover,
     a step from the present ones."""
-    problem, what, limits = kind.problem, kind.problem.what, DEFAULT.prediction
+    problem, what = kind.problem, kind.problem.what
     own = [i for i, n in enumerate(what.nuisances) if n.kind == "start"]
     if not own:
         return {}
@@ -115,8 +115,7 @@ def starts_of(kind: Kind, search: Search, best: Scored) -> dict[int, dict[str, f
         M, g = part.M.sum(0), part.g.sum(0)
         left = g[columns] - M[columns, : len(change)] @ change - now / std**2
         step = np.linalg.solve(M[np.ix_(columns, columns)] + np.diag(std**-2.0), left)
-        step = np.clip(step, -limits.free_start_step * std, limits.free_start_step * std)
-        after = np.clip(now + step, -limits.free_start_reach * std, limits.free_start_reach * std)
+        after = moved_start(now, step, std)
         made[place] = {what.nuisances[i].of: float(v) for i, v in zip(lasting, after, strict=True) if i in own}
     return made
 

@@ -14,18 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from diagnosis.likelihood import priors
-from diagnosis.likelihood.evidence import Kind, Search
+from diagnosis.likelihood.evidence import Kind, Search, integrated
 from diagnosis.likelihood.features import Discrepancy, Line, smooth
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.identify import Identified
 from diagnosis.likelihood.lines import CHANNELS, strongest_lines
 from diagnosis.likelihood.noise_fit import refit_disturbances
 from diagnosis.likelihood.rigid_body import Along
+from diagnosis.selection.candidates import Identity
 from dynamics.arrays import Floats
 
-Identity = tuple[str, int | None]
 FORMS = ("state", "velocity", "time")  # on which what an effect makes may depend
-TRIED = CHANNELS * len(priors.FUNCTIONS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +69,11 @@ def left_over(result: Identified, refuted: Collection[Identity] = ()) -> LeftOve
     flights = [(rows, one.along(place)) for one in result.problems for place, rows in enumerate(one.flights)]
     usual, members = _usual([along for _, along in flights]), list(result.best.members)
     required = result.search.problem.thresholds.named
-    every = _race(result, members, [*_smooth(flights, usual), *_lines(result, usual)], all_effects=True)
-    effects, winners = every.run(members, required, refuted)
+    every = [*_smooth(flights, usual), *_lines(result, usual)]
+    effects, winners = _race(result, members, every, all_effects=True).run(members, required, refuted)
     if not winners:
         return LeftOver()
-    few = [replace(every.every[n], deviation=every.every[n].deviation * size) for n, size in winners.items()]
+    few = [replace(every[n], deviation=every[n].deviation * size) for n, size in winners.items()]
     joint, alone = _race(result, effects, few), _race(result, effects, ())
     together = joint.evidence(effects, range(len(few)))
     if together - alone.evidence(effects, ()) < required:
@@ -150,7 +149,8 @@ def _smooth(flights: Sequence[tuple[FlightRows, Along]], usual: Sequence[float])
     for seed, (kind, (fineness, count)) in enumerate(priors.FUNCTIONS.items()):
         functions = smooth(kind, flights, fineness=fineness, count=count, seed=seed)
         if functions is not None:
-            made += [Discrepancy(functions, channel, usual[channel]) for channel in range(CHANNELS)]
+            tried = CHANNELS * len(priors.FUNCTIONS) * len(priors.SIZES)
+            made += [Discrepancy(functions, channel, usual[channel], tried) for channel in range(CHANNELS)]
     return made
 
 
@@ -159,7 +159,7 @@ def _lines(result: Identified, usual: Sequence[float]) -> list[Discrepancy]:
     for problem, noise in zip(result.problems, result.noise, strict=True):
         groups = tuple(dict.fromkeys(rows.group for rows in problem.flights))
         lines = strongest_lines(problem, noise.gain, usual)
-        made += [Discrepancy(Line(line.frequency, groups), line.channel, usual[line.channel]) for line in lines]
+        made += [Discrepancy(Line(one.frequency, groups), one.channel, usual[one.channel], one.tried) for one in lines]
     return made
 
 
@@ -170,7 +170,6 @@ class _Race:
         self._search, self.every = search, every
         ends = (search.of_effects + np.cumsum([0, *(len(one) for one in every)])).tolist()
         self._columns = [list(range(begin, end)) for begin, end in itertools.pairwise(ends)]
-        self._tried = float(np.log(TRIED * len(priors.SIZES)))
 
     def run(
         self, members: Sequence[int], required: float, refuted: Collection[Identity] = ()
@@ -204,12 +203,12 @@ class _Race:
         c, one = self._columns[number], self.every[number]
         slight, *evidence = (_evidence(M, g, c, one.deviations * size)[0] for size in (priors.DISCREPANCY, *sizes))
         best = int(np.argmax(evidence))
-        return float(evidence[best] - max(slight, 0.0) - self._tried), sizes[best]
+        return float(evidence[best] - max(slight, 0.0)) + one.log_prior, sizes[best]
 
     def evidence(self, effects: Sequence[int], numbers: Sequence[int]) -> float:
         """Log-evidence of some effects and of discrepancies of their own size, but for a constant."""
         search, (c, std) = self._search, self._columns_of(effects, dict.fromkeys(numbers, 1.0))
-        prior = sum(float(search.log_prior[i]) for i in effects) - self._tried * len(numbers)
+        prior = sum(float(search.log_prior[i]) for i in effects) + sum(self.every[n].log_prior for n in numbers)
         return float(search.total.base) + _evidence(search.total.M, search.total.g, c, std)[0] + prior
 
     def alone(self, effects: Sequence[int], number: int) -> tuple[float, Floats]:
@@ -251,10 +250,8 @@ class _Race:
 def _evidence(M: Floats, g: Floats, columns: Sequence[int], std: Floats) -> tuple[float, Floats]:
     """Log-evidence of some columns with their priors' deviations (c,), and their values (c,)."""
     c = list(columns)
-    cholesky = np.linalg.cholesky(M[np.ix_(c, c)] * std * std[:, None] + np.eye(len(c)))
-    half = np.linalg.solve(cholesky, g[c] * std)
-    evidence = half @ half / 2 - np.log(np.diag(cholesky)).sum()
-    return float(evidence), np.asarray(np.linalg.solve(cholesky.T, half) * std)
+    quadratic, log_determinant, values = integrated(M[np.ix_(c, c)], g[c], std)
+    return (quadratic - log_determinant) / 2, values
 
 
 def _shown(race: _Race, effects: Sequence[int], number: int, flights: Sequence[tuple[FlightRows, Along]]) -> Left:

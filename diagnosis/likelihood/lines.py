@@ -28,11 +28,12 @@ FINE = 4  # frequencies tried for each that a flight tells apart
 
 @dataclass(frozen=True)
 class LineAt:
-    """A line of a channel. log_odds: against none, or one as slight as every model leaves."""
+    """A line of a channel. log_odds: against none, or one as slight as every model leaves. tried: lines in all."""
 
     channel: int
     frequency: float
     log_odds: float
+    tried: float
 
 
 def strongest_lines(problem: Problem, gain: Gain, usual: Sequence[float]) -> list[LineAt]:
@@ -63,9 +64,10 @@ def strongest_lines(problem: Problem, gain: Gain, usual: Sequence[float]) -> lis
             ratio = rows * power / 2 * (size * np.asarray(usual)[:, None]) ** 2 / louder
             evidence[:, place] += score / louder * ratio / (1 + ratio) - np.log1p(ratio)
     gained = evidence[:, 1:].max(1) - np.maximum(evidence[:, 0], 0.0)
-    tried = np.log(CHANNELS * there.sum() / FINE * len(priors.SIZES))
+    tried = float(CHANNELS * there.sum() / FINE * len(priors.SIZES))
     best = gained.argmax(1)
-    lines = [LineAt(c, float(frequency[there][i]), float(gained[c, i] - tried)) for c, i in enumerate(best)]
+    odds = gained.max(1) - np.log(tried)
+    lines = [LineAt(c, float(frequency[there][i]), float(odds[c]), tried) for c, i in enumerate(best)]
     return [line for line in lines if line.log_odds >= t.named]
 
 

@@ -19,7 +19,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.data.workspace import key_of
 from diagnosis.models import channels
 from diagnosis.models.prediction import Prediction
-from diagnosis.thresholds import PredictionThresholds
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Parameter
 from dynamics.state import VELOCITY
@@ -117,7 +117,7 @@ class FreeStart:
         (off, columns), part = near, _first(segment, self.thresholds.free_start_durations[-1])
         for _ in range(self.thresholds.free_start_steps):
             left = channels.measured(part)[:, _channel(part)] - self._forces_from(part, values, [off])[0]
-            off = self._stepped(off, posterior_step(columns, left, off))
+            off = moved_start(off, posterior_step(columns, left, off), limits=self.thresholds)
         return off
 
     def _is_moving(self, segment: Segment, absent: Mapping[str, float]) -> bool:
@@ -157,13 +157,8 @@ class FreeStart:
             without = self._thrust(part, self._absent(values))
             columns = np.stack([*slopes, *_nuisances(part, without)], axis=2)
             left = channels.measured(part)[:, _channel(part)] - here
-            off = self._stepped(off, posterior_step(columns, left, off))
+            off = moved_start(off, posterior_step(columns, left, off), limits=self.thresholds)
         return off, columns
-
-    def _stepped(self, off: Floats, change: Floats) -> Floats:
-        """A step within the limits."""
-        step, reach = self.thresholds.free_start_step, self.thresholds.free_start_reach
-        return np.clip(off + np.clip(change, -step, step), -reach, reach)
 
     def _forces_from(self, segment: Segment, values: Mapping[str, float], moved: Sequence[Floats]) -> list[Floats]:
         """(m, 3) of each start, (k,) standard deviations from hover."""
@@ -225,6 +220,15 @@ def _nuisances(segment: Segment, thrust: Floats) -> list[Floats]:
     air = np.einsum("nji,nj->ni", segment.to_world[rows], segment.smooth[rows, VELOCITY])
     axes = np.eye(3)
     return [*(np.tile(axis, (len(thrust), 1)) for axis in axes), *(air * axis for axis in axes), thrust]
+
+
+def moved_start(
+    off: Floats, change: Floats, std: Floats | float = 1.0, limits: PredictionThresholds = DEFAULT.prediction
+) -> Floats:
+    """Starts after a step, as far as one may move at once and in all. off: before it, from the prior's mean. std: of
+    the prior."""
+    step, reach = limits.free_start_step * std, limits.free_start_reach * std
+    return np.clip(off + np.clip(change, -step, step), -reach, reach)
 
 
 def posterior_step(columns: Floats, left: Floats, off: Floats) -> Floats:

@@ -27,6 +27,8 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect, Span
 from dynamics.vehicle import EffectUse, Vehicle
 
+Identity = tuple[str, int | None]  # an effect's name and its rotor
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -72,7 +74,7 @@ class Candidate:
         return self.effect.name if self.rotor is None else f"{self.effect.name}[{self.rotor}]"
 
     @property
-    def identity(self) -> tuple[str, int | None]:
+    def identity(self) -> Identity:
         """Name and rotor, as in a vehicle file."""
         return self.effect.name, self.rotor
 

@@ -12,6 +12,7 @@ import pytest
 from diagnosis import by_likelihood
 from diagnosis.by_likelihood import (
     LikelihoodAnswer,
+    answer_beside,
     answer_by_likelihood,
     likelihood_fit,
     likelihood_problems,
@@ -21,6 +22,7 @@ from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.evidence import Sums
+from diagnosis.likelihood.left_over import LeftOver
 from diagnosis.likelihood.named import Named
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
@@ -122,13 +124,27 @@ def test_without_the_effect_held_out_errors_rise():
 
 def test_an_effect_that_is_taken_back_leaves_nothing_of_its_values():
     dataset, vehicle, answer = twice_the_drag()
-    refused = Refused("linear_drag", None, "drifts", {"share": 1.0, "deviations": 9.0})
+    refused = Refused("linear_drag", None, "another_form", {"share": 1.0, "required": 0.2})
     rest = answer.without([refused], dataset)
     assert rest.missing() == ()
     assert rest.accepted.refused == (refused,)
     own = next(use.parameters for use in vehicle.effects if use.name == "linear_drag")
     assert next(u.parameters for u in rest.accepted.fit.vehicle.effects if u.name == "linear_drag") == own
     assert set(rest.accepted.fit.commands) == set(answer.accepted.fit.commands)
+
+
+@pytest.mark.parametrize(
+    ("odds", "share", "reason"), [(1.0, 0.0, "unsure"), (50.0, 0.4, "another_form"), (50.0, 0.1, None)]
+)
+def test_an_effect_must_be_likely_and_of_its_own_form_beside_what_is_left(odds, share, reason):
+    dataset, _, answer = twice_the_drag()
+    (named,) = answer.named
+    left = LeftOver((), {named.number: odds}, {named.number: share})
+    rest = answer_beside(answer, left, answer.regression, dataset)
+    assert [one.candidate.identity for one in rest.named] == ([] if reason else [named.candidate.identity])
+    assert [one.reason for one in rest.accepted.refused] == ([reason] if reason else [])
+    if reason == "unsure":
+        assert rest.accepted.refused[0].detail["odds"] == pytest.approx(np.exp(odds))
 
 
 def test_information_beside_commands_is_what_is_left_when_all_else_is_marginalised():
