@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
+from diagnosis.likelihood.features import Line
 from diagnosis.likelihood.left_over import Left
 from diagnosis.models import channels
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
@@ -25,7 +26,7 @@ def gust_refusal(
 ) -> Refused | None:
     """Why a gust that was detected is not named, None where it is named or none was detected.
 
-    Air in motion is no function of the vehicle's state, its place or time, and has no line in its spectrum: where a
+    Air in motion is no function of the vehicle's state, its place or time, and has no line where it moves: where a
     force that is one has more than some share of a gust's power, it is none. Nor is one named that would not raise the
     error of any axis by what matters.
     """
@@ -34,7 +35,9 @@ def gust_refusal(
     if (small := _small_gust(regression, air.gust)) is not None:
         return small
     signal = signal_of(air.gust, regression)
-    forces = [one for one in left if one.channel < channels.AXES]
+    highest = regression.thresholds.gust.max_frequency
+    slow = [one for one in left if not isinstance(of := one.discrepancy.of, Line) or of.frequency <= highest]
+    forces = [one for one in slow if one.channel < channels.AXES]
     if signal is None or not forces:
         return None
     power = np.sum(signal[channels.SPECIFIC_FORCE] ** 2) or np.sum(signal[channels.POSE_ACCELERATION] ** 2)

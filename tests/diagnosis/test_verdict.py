@@ -34,9 +34,9 @@ ALONE = MissingEffect("a", None, {}, 1.0, ())
 AMBIGUOUS = MissingEffect("a", None, {}, 1.0, ("b",))
 
 
-def left(kind, rms, channel=0):
+def left(kind, rms, channel=0, frequency=0.5):
     """A force that is a function of something, or a line, of this RMS."""
-    of = Line(0.5, (0,)) if kind == "line" else Smooth(kind, {}, *[np.zeros(0)] * 5, 1.0)
+    of = Line(frequency, (0,)) if kind == "line" else Smooth(kind, {}, *[np.zeros(0)] * 5, 1.0)
     return Left(Discrepancy(of, channel, 1.0), 12.0, channel, (), (np.full(4, rms),))
 
 
@@ -69,6 +69,7 @@ def test_what_state_place_time_or_a_line_has_is_no_gust(in_air, kind, words):
     share = LIMITS.max_gust_predictable * 2.0  # its power, (m/s^2)^2
     assert gust_refusal(of_all, selection, [left(kind, np.sqrt(0.9 * share))]) is None
     assert gust_refusal(of_all, selection, [left(kind, 9.0, channel=4)]) is None  # a torque is no air
+    assert gust_refusal(of_all, selection, [left("line", 9.0, frequency=33.0)]) is None  # nor has it a hum
     answer = gust_refusal(of_all, selection, [left(kind, np.sqrt(0.6 * share))] * 2)
     assert answer is not None
     assert (answer.reason, answer.where, answer.parameters) == ("predictable", kind, {"intensity": 0.5})
