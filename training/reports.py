@@ -45,19 +45,17 @@ def progress_channel(progress: Progress) -> Iterator[Progress]:
     """A function that other processes call with their reports: each one reaches `progress` in this process."""
     manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
     with ExitStack() as stack:
-        with holding_interrupts():
+        with holding_interrupts():  # one that comes meanwhile is raised after it, when all of this is ended in order
             manager.start(end_with_parent)
             stack.callback(manager.shutdown)
-        reports = manager.Queue()
+            reports = manager.Queue()
 
-        def forward() -> None:
-            while (report := reports.get()) is not None:
-                progress(report)
+            def forward() -> None:
+                while (report := reports.get()) is not None:
+                    progress(report)
 
-        thread = threading.Thread(target=forward, name="training progress", daemon=True)
-        thread.start()
-        try:
-            yield reports.put
-        finally:
-            reports.put(None)
-            thread.join()
+            thread = threading.Thread(target=forward, name="training progress", daemon=True)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(reports.put, None)
+        yield reports.put
