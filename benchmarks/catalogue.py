@@ -376,12 +376,6 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("dynamics/references", *DIAGNOSIS),
             ("--flights", "1", "--cases", "1", *NOT_KEPT),
         ),
-        "output_error": Measurement(
-            "benchmarks.estimation.output_error:output_error",
-            ("output_error",),
-            ("diagnosis/estimation", "diagnosis/models"),
-            ("--cases", "1", *NOT_KEPT),
-        ),
         "vehicle_from_logs": Measurement(
             "benchmarks.estimation.vehicle_from_logs:vehicle_from_logs",
             ("vehicle_from_logs",),

@@ -87,7 +87,7 @@ class Case:
             return _answer("completed", [effect.name for effect in completed.added])
         if self.adds:
             added = add_effect(None, data, vehicle, CATALOGUE, date=DATE, thresholds=thresholds)
-            return _answer("added by output error" if added.by_output_error else "added", added.keys)
+            return _answer("added", added.keys)
         report = diagnose_dataset(data, vehicle, CATALOGUE, thresholds).diagnosis
         return _answer(report.verdict, [effect.name for effect in report.effects])
 

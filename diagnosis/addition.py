@@ -15,16 +15,13 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from diagnosis.estimation.acceptance import (
-    deviations_from_neutral,
     refused_of,
     with_faults_of,
     with_nuisances_of,
 )
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out
 from diagnosis.estimation.held_out import HeldOut
-from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.likelihood.evidence import IMPOSSIBLE
@@ -61,7 +58,6 @@ class Addition:
     keys: the effects' names in a model, the rotor in brackets.
     chi_square: reduced, held out, before and after; 1 where the residuals are noise.
     open_loop: prediction errors, held out, before and after, against the motion without the sensors' faults.
-    by_output_error: whether that fit was better than equation error.
     refused: effects that were selected and not added.
     notes: to the user.
     """
@@ -72,7 +68,6 @@ class Addition:
     keys: tuple[str, ...]
     chi_square: tuple[float, float]
     open_loop: tuple[tuple[HorizonError, ...], tuple[HorizonError, ...]]
-    by_output_error: bool
     refused: tuple[Refused, ...]
     notes: tuple[str, ...]
 
@@ -92,8 +87,7 @@ def add_effect(
 ) -> Addition:
     """Fit effects on the fitted flights and judge them on those held out. name: None for all that a diagnosis names.
 
-    The effects that the vehicle file has are fitted again with them where that matters, and all of them once more by
-    output error where held-out windows then end closer.
+    Values are the likelihood's, and so are those of the vehicle file's own effects where other ones matter.
 
     date, command: for the line of history. rotor: for an effect of one rotor; None for the one that fits best.
     diagnosed: the diagnosis of this data set and vehicle, where there is one already; of use without a name.
@@ -113,10 +107,9 @@ def add_effect(
         answer = _likely(name, rotor, first, dataset, part_of(progress, 0.1, 0.5))
     regression = answer.regression
     judge = HeldOut(regression, dataset.held_out)
+    progress(0.5, "each effect on held-out flights")
     accepted = _borne_out(answer, dataset, judge).accepted
-    progress(0.5, "output error, over simulated half seconds")
-    present = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
-    fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
+    present, fitted = answer.vehicle_without, accepted.fit
     before = with_faults_of(fitted, present)
     progress(0.9, "errors on held-out flights")
     _require_no_loss(judge, present, before, fitted, thresholds.relevance)
@@ -137,27 +130,9 @@ def add_effect(
             reduced_chi_square(judge.rows(fitted.vehicle), regression.noise),
         ),
         open_loop=(horizons_of(judge, before), horizons_of(judge, fitted.vehicle)),
-        by_output_error=by_output_error,
         refused=accepted.refused,
         notes=(*notes, *(note for c in fitted.candidates for note in _caveat(fitted, c))),
     )
-
-
-def _better_fit(
-    judge: HeldOut, fitted: Fit, vehicle: Vehicle, dataset: Dataset, regression: Regression
-) -> tuple[Fit, bool]:
-    """The fit by output error and True where held-out windows end closer and no error rises, else the one given."""
-    catalogue, thresholds = regression.catalogue, regression.thresholds
-    again = refit(fitted, fitted.vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
-    if again is None or not again.after < again.before:
-        return fitted, False
-    levels = [reduced_chi_square(judge.rows(f.vehicle), regression.noise) for f in (fitted, again.fit)]
-    grown = not levels[1] < thresholds.output_error.max_one_step_growth * levels[0]
-    holds_nothing = any(
-        deviations_from_neutral(again.fit, c, vehicle) < thresholds.relevance.deviations for c in fitted.candidates
-    )
-    worse = judge.worse(fitted.vehicle, again.fit.vehicle)
-    return (fitted, False) if grown or holds_nothing or worse else (again.fit, True)
 
 
 def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, progress: Progress) -> LikelihoodAnswer:
@@ -196,9 +171,8 @@ def _borne_out(answer: LikelihoodAnswer, dataset: Dataset, judge: HeldOut) -> Li
     The weakest of the others is left out, until none is left. Raises DataError where nothing remains.
     """
     required = answer.regression.thresholds.relevance.deviations
-    lacking = fit(answer.regression, ()).vehicle
     named = answer.accepted.fit.candidates
-    while idle := _idle(answer.accepted.fit, lacking, judge, required):
+    while idle := _idle(answer.accepted.fit, answer.regression.vehicle, judge, required):
         weakest = min(idle, key=lambda candidate: idle[candidate])
         fitted = answer.accepted.fit
         refused = refused_of(fitted, weakest, "open_loop_alike", deviations=idle[weakest], required=required)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import msgspec
 
 from diagnosis.addition import Addition
@@ -32,7 +30,6 @@ class AdditionReport(msgspec.Struct, frozen=True):
     effect: the first that was added, by its name in the model, the rotor in brackets.
     effects: all of them.
     parameters: of all effects that were fitted.
-    fitted_by: which of the two fits was better.
     channels: RMS on held-out flights and floor.
     chi_square: reduced, on held-out flights; 1 where the residuals are noise.
     open_loop: prediction errors.
@@ -44,7 +41,6 @@ class AdditionReport(msgspec.Struct, frozen=True):
     effect: str
     effects: tuple[str, ...]
     parameters: dict[str, dict[str, ParameterValue]]
-    fitted_by: Literal["equation error", "output error"]
     channels: dict[str, ChannelError]
     chi_square: BeforeAfter = msgspec.field(name="misfit")
     open_loop: OpenLoop
@@ -62,7 +58,6 @@ def report(added: Addition) -> AdditionReport:
         effect=added.keys[0],
         effects=added.keys,
         parameters=parameters,
-        fitted_by="output error" if added.by_output_error else "equation error",
         channels=dict(added.channels),
         chi_square=BeforeAfter(*added.chi_square),
         open_loop=OpenLoop(*added.open_loop),

@@ -30,6 +30,7 @@ from diagnosis.verdict import parameters_of
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
+from dynamics.vehicle import Vehicle
 
 NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look at them with `alula inspect`."
 
@@ -71,6 +72,11 @@ class LikelihoodAnswer:
                 )
             )
         return tuple(effects)
+
+    @property
+    def vehicle_without(self) -> Vehicle:
+        """The vehicle without the named effects, its commands as they fit best then."""
+        return likelihood_fit(self.search, self.regression, ()).vehicle
 
     def without(self, refused: Sequence[Refused], dataset: Dataset) -> LikelihoodAnswer:
         """The answer without effects that are refused afterwards."""

@@ -13,7 +13,6 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.command_gain import command_gain
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
     reduced_chi_square,
     residuals_in,
@@ -141,7 +140,7 @@ def _answered(
     """The likelihood's answer, what is left of the flights with it, (m, 12) held-out residuals without, and the effects
     with the gust beside them."""
     answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.6))
-    before = residuals_in(first, fit(first, ()).vehicle, dataset.held_out)  # with biases by noise about no effects
+    before = residuals_in(first, answer.vehicle_without, dataset.held_out)  # with biases by noise about no effects
     progress(0.6, "what no effect explains")
     left = left_over(answer.result)
     if left.left:

@@ -153,7 +153,6 @@ def _print(addition: Addition, console: Console) -> None:
         console.print(line, highlight=False)
     if addition.open_loop[0]:
         console.print(open_loop_table(*addition.open_loop))
-    how = "output error, over simulated half seconds" if addition.by_output_error else "equation error"
-    console.print(f"fitted by {how}", highlight=False)
+    console.print("values and intervals are the likelihood's; errors are those of held-out flights", highlight=False)
     for note in addition.notes:
         console.print(f"note: {note}", highlight=False)

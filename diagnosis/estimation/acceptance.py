@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from diagnosis.estimation.fitted import Fit, neutral_values, with_candidates
+from diagnosis.estimation.fitted import Fit, with_candidates
 from diagnosis.estimation.refusal import Reason, Refused
-from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -50,24 +47,3 @@ def with_nuisances_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
     faults = [c for c in fitted.candidates if not c.effect.moves_vehicle]
     values = {f"{key}.{name}": value for (key, name), value in fitted.values.items()}
     return with_candidates(vehicle, [*faults, *fitted.nuisances], values)
-
-
-def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -> float:
-    """Standard deviations by which an effect's size differs from none, or from the vehicle file's own value.
-
-    Over all parameters in which the effect is linear together; 2 is a probability of 95 %. The others, such as the
-    length of a line, are as fitted: how large they are is no doubt that there is an effect. A rotor that lost torque
-    alone is no rotor that lost thrust, whatever the torque.
-    """
-    values, neutral = list(best.estimates.values()), neutral_values(best, candidate, vehicle)
-    names, lost = [name for _, name in best.estimates], candidate.effect.lost_thrust
-    places = [i for i in neutral if lost in ("", names[i])]
-    if not places:
-        return 0.0
-    distance = np.array([values[i].value - neutral[i] for i in places])
-    others = [i for i in best.of(candidate) if i not in neutral]
-    covariance = best.covariance[np.ix_(places, places)]
-    if others:
-        across = best.covariance[np.ix_(places, others)]
-        covariance = covariance - across @ np.linalg.pinv(best.covariance[np.ix_(others, others)]) @ across.T
-    return deviations_of(distance, covariance)

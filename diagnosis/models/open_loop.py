@@ -74,7 +74,7 @@ def open_loop_windows(
     errors: dict[float, list[Floats]] = {horizon: [] for horizon in thresholds.horizons}
     with_position = not any("position" in s.lacks for s in segments)
     starts = [(s, range(0, len(s) - last, interval)) for s in segments]
-    for segment, windows in zip(segments, simulator.run_together(starts, last, predictor.values()), strict=True):
+    for segment, windows in zip(segments, simulator.run(starts, last, predictor.values()), strict=True):
         for horizon, parts in errors.items():
             step = round(horizon * rate)
             error = state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]])

@@ -1,4 +1,4 @@
-"""Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
+"""Windows of a flight simulated open loop from measured states, many at once.
 
 Between two rows the rotors' speeds, or commands, change linearly, about the mean that the segment has; where their
 speed is measured the rotors accelerate as measured. Faults of sensors that the model holds are removed from the
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import casadi as ca
 import msgspec
@@ -47,36 +46,29 @@ class SimulatedWindows:
 
 
 class Simulator:
-    """The step of a predictor's model at one rate, over many windows at once. free: parameters with sensitivities."""
+    """The step of a predictor's model at one rate, over many windows at once."""
 
-    def __init__(self, predictor: Predictor, rate: float, free: Sequence[str] = (), *, speed_measured: bool) -> None:
+    def __init__(self, predictor: Predictor, rate: float, *, speed_measured: bool) -> None:
         self.predictor = predictor
         self._period = np.array([1 / rate])
         self._speed_measured = speed_measured
-        self._places = tuple(predictor.model.parameter_index(name) for name in free)
 
-    def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> SimulatedWindows:
-        """Simulate from the measured states at rows `starts` of a segment without faults.
+    def run(self, starts: Sequence[tuple[Segment, Sequence[int]]], steps: int, p: Floats) -> list[SimulatedWindows]:
+        """Simulate windows from the measured states at some rows of segments without faults.
 
         States are not finite where the rate is too low for the model's hidden states.
         """
-        return self.run_together([(segment, starts)], steps, p)[0]
-
-    def run_together(
-        self, starts: Sequence[tuple[Segment, Sequence[int]]], steps: int, p: Floats
-    ) -> list[SimulatedWindows]:
-        """Simulate windows of several segments, with rows of each."""
         parts = [self._at_start(segment, rows, steps, p) for segment, rows in starts]
         states, inputs, environment = (
             np.concatenate(values) for values in zip(*((w.states, w.inputs, w.environment) for w in parts), strict=True)
         )
-        functions, half = self._compiled(p), inputs.shape[2] // 2
+        simulated_step, half = self._compiled(p), inputs.shape[2] // 2
         for step in range(steps):
             u, a, e = inputs[:, step, :half], inputs[:, step, half:], environment[:, step]
-            if functions is None:
+            if simulated_step is None:
                 states[:, step + 1] = np.nan
             else:
-                states[:, step + 1] = functions.step(states[:, step], u, a, p, e, self._period, a * self._period)
+                states[:, step + 1] = simulated_step(states[:, step], u, a, p, e, self._period, a * self._period)
         edges = np.cumsum([len(w.states) for w in parts[:-1]])
         return [replace(w, states=part) for w, part in zip(parts, np.split(states, edges), strict=True)]
 
@@ -93,45 +85,12 @@ class Simulator:
         states[:, 0] = measured[rows[:, 0]]
         return SimulatedWindows(states, np.concatenate([speed, acceleration], axis=2), segment.environment[here], rows)
 
-    def _compiled(self, p: Floats) -> _StepFunctions | None:
+    def _compiled(self, p: Floats) -> RowFunction | None:
         """With as many substeps as the hidden states need; None if more than are taken."""
         count = self.predictor.substeps(float(self._period[0]), p)
         if count is None:
             return None
-        return _step_functions(self.predictor.model, self._places, count, speed_measured=self._speed_measured)
-
-    def sensitivities(
-        self,
-        windows: SimulatedWindows,
-        p: Floats,
-        first: Floats,
-        *,
-        rotor_speed: Floats | None = None,
-        held: bool = False,
-    ) -> Floats:
-        """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
-
-        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead, constant over
-        a step. held: whether the parameters are constant, and all columns are directions of the start.
-        """
-        count, steps, nx = len(windows.states), windows.inputs.shape[1], windows.states.shape[2]
-        half, width = windows.inputs.shape[2] // 2, first.shape[2]
-        speed = windows.inputs[:, :, :half] if rotor_speed is None else rotor_speed
-        flat = [x.reshape(count * steps, -1) for x in (windows.states[:, :-1], speed, windows.inputs[:, :, half:])]
-        change = flat[2] * (self._period if rotor_speed is None else 0.0)
-        around = windows.environment.reshape(count * steps, -1)
-        functions = self._compiled(p)
-        if functions is None:
-            return np.full((count, steps + 1, nx, width), np.nan)
-        evaluated = functions.slopes(*flat, p, around, self._period, change)
-        slopes = evaluated.reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
-        chained = np.empty((count, steps + 1, nx, width))
-        chained[:, 0] = first
-        for step in range(steps):
-            chained[:, step + 1] = slopes[:, step, :, :nx] @ chained[:, step]
-            if not held:
-                chained[:, step + 1, :, width - (slopes.shape[3] - nx) :] += slopes[:, step, :, nx:]
-        return chained
+        return _step_function(self.predictor.model, count, speed_measured=self._speed_measured)
 
 
 def healthy(
@@ -185,38 +144,17 @@ def _with_pose_of(segment: Segment, age: float, attitude_age: float) -> Segment:
     )
 
 
-class _StepFunctions:
-    """The step of a model at one rate, and its slopes in state and free parameters."""
-
-    def __init__(self, model: Model, places: Sequence[int], count: int, *, speed_measured: bool) -> None:
-        self._inputs, self._after = _step(model, speed_measured, count)
-        self._places = list(places)
-
-    def _by_row(self, outputs: Expression) -> RowFunction:
-        return RowFunction(ca.Function("step", self._inputs, [ca.cse(outputs)]), shared=(PARAMETERS, PERIOD))
-
-    @cached_property
-    def step(self) -> RowFunction:
-        """The state one row later, (nx,)."""
-        return self._by_row(self._after)
-
-    @cached_property
-    def slopes(self) -> RowFunction:
-        """(nx (nx + k),) its slopes, column by column."""
-        of_state, of_parameters = (ca.jacobian(self._after, self._inputs[i]) for i in (0, PARAMETERS))
-        return self._by_row(ca.vec(ca.densify(ca.horzcat(of_state, of_parameters[:, self._places]))))
+_functions: dict[Hashable, RowFunction] = {}
 
 
-_functions: dict[Hashable, _StepFunctions] = {}
-
-
-def _step_functions(model: Model, places: tuple[int, ...], count: int, *, speed_measured: bool) -> _StepFunctions:
-    """Step functions of a model, kept for models of its structure."""
-    key = (model.structure, places, count, speed_measured)
+def _step_function(model: Model, count: int, *, speed_measured: bool) -> RowFunction:
+    """State one row later of a model, (nx,); one function for all models of its structure."""
+    key = (model.structure, count, speed_measured)
     if key not in _functions:
         if len(_functions) >= MAX_KEPT:
             _functions.clear()
-        _functions[key] = _StepFunctions(model, places, count, speed_measured=speed_measured)
+        inputs, after = _step(model, speed_measured, count)
+        _functions[key] = RowFunction(ca.Function("step", inputs, [ca.cse(after)]), shared=(PARAMETERS, PERIOD))
     return _functions[key]
 
 

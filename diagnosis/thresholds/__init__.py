@@ -13,7 +13,6 @@ from __future__ import annotations
 from diagnosis.thresholds.estimation import (
     AcceptanceThresholds,
     EquationErrorThresholds,
-    OutputErrorThresholds,
     RelevanceThresholds,
 )
 from diagnosis.thresholds.group import ThresholdGroup
@@ -62,7 +61,6 @@ class Thresholds(ThresholdGroup, frozen=True):
     search: SearchThresholds = SearchThresholds()
     gust: GustThresholds = GustThresholds()
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
-    output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
     likelihood: LikelihoodThresholds = LikelihoodThresholds()
@@ -90,7 +88,6 @@ __all__ = [
     "InFlightThresholds",
     "LikelihoodThresholds",
     "NoiseThresholds",
-    "OutputErrorThresholds",
     "PoseThresholds",
     "PredictionThresholds",
     "RegimeThresholds",

@@ -16,7 +16,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
         [convention: ten]
     max_damped: steps so damped. [decisions: Gauss-Newton goes on from where they lead]
     min_damped_fall: share of the cost by which each of them must improve the fit. [decisions: instruments lead on]
-    converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
+    converged: step over the standard deviation at which it ends. [formula: a bias of as
     much takes 0.005 % off an interval's coverage]
     max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
     hopeless: reduced chi-square over that of a set that it is compared with, above which a fit whose way was not
@@ -46,27 +46,6 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
     min_excess: Factor = 1.2
-
-
-class OutputErrorThresholds(ThresholdGroup, frozen=True):
-    """Gauss-Newton on simulated windows.
-
-    window: s. [benchmarks estimation output_error]
-    max_windows: of all segments, about. [margins: neither]
-    min_windows: below which nothing is fitted. [margins: neither]
-    max_steps: of Gauss-Newton. [margins: neither]
-    shrinkage: of the errors' covariance towards its diagonal. [margins: neither]
-    difference_step: of finite differences of hidden states' starts, relative. [margins: no case]
-    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks estimation output_error]
-    """
-
-    window: Positive = 0.5
-    max_windows: Count = 300
-    min_windows: Count = 20
-    max_steps: Count = 4
-    shrinkage: Share = 0.1
-    difference_step: Positive = 1e-3
-    max_one_step_growth: Factor = 1.005
 
 
 class AcceptanceThresholds(ThresholdGroup, frozen=True):

@@ -143,8 +143,7 @@ def _parameters(opened: OpenCase) -> Any:
         for name, estimate in values.items()
     ]
     notes = [html.Li(note) for note in added.report.notes]
-    how = dmc.Text(f"Fitted by {added.report.fitted_by}.", size="sm", c="dimmed")
-    return card("Values of the last addition", html.Ul(items), how, html.Ul(notes) if notes else None)
+    return card("Values of the last addition", html.Ul(items), html.Ul(notes) if notes else None)
 
 
 def _interval(estimate: ParameterValue) -> str:

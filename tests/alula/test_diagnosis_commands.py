@@ -129,7 +129,6 @@ def test_add_without_an_effect_adds_the_first_one_and_writes_errors_before_and_a
         "effect",
         "effects",
         "parameters",
-        "fitted_by",
         "channels",
         "misfit",
         "open_loop",

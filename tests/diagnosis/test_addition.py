@@ -68,7 +68,6 @@ def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_noted(pl
     assert any("velocity x coefficient" in note for note in added.notes)
     answer = msgspec.to_builtins(report(added))
     assert answer["effect"] == "wind"
-    assert answer["fitted_by"] == ("output error" if added.by_output_error else "equation error")
     assert answer["parameters"]["wind"]["x"]["unit"] == "m/s"
 
 

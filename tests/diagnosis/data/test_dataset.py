@@ -6,10 +6,6 @@ import numpy as np
 import pytest
 
 from diagnosis.data import dataset
-from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
-from diagnosis.estimation.output_error import refit
-from diagnosis.selection.regression_of_flights import make_regression
-from dynamics.effects import CATALOGUE
 from flights import Flight, read_log
 
 
@@ -50,16 +46,3 @@ def test_a_data_set_has_one_rate_whatever_its_flights_had(rates, plain_flights, 
     rate = {segment.rate for segment in data.everything}
     assert len(rate) == 1
     assert rate.pop() == pytest.approx(min(rates), rel=1e-5)
-
-
-def test_flights_of_different_rates_are_fitted_by_output_error(plain_flights, arpl_250g, tmp_path):
-    """Half a second is 41.5 rows of 83 Hz: with rounding of the clocks one part had 41 and the other 42."""
-    data = _of_rates((83.0, 88.0), plain_flights, arpl_250g, tmp_path)
-    some = {name: CATALOGUE[name] for name in ("mass", "gyro_bias", "imu_bias", "time_delay")}
-    regression = make_regression(arpl_250g, some, data.fitted, data.flight_of)
-    mass = next(c for c in regression.candidates if c.effect.name == "mass")
-    heavier = with_candidates(arpl_250g, [mass], {"mass.ratio": 1.02})
-    started = Fit(heavier, {("mass", "ratio"): ParameterEstimate(1.02, 0.01, "1")}, (mass,))
-    refitted = refit(started, arpl_250g, some, data.fitted, data.held_out)
-    assert refitted is not None
-    assert refitted.fit.estimates["mass", "ratio"].value == pytest.approx(1.0, abs=0.01)

@@ -1,20 +1,12 @@
 """An effect is accepted where held-out flights agree, and refused where they do not."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from diagnosis.estimation.acceptance import (
-    deviations_from_neutral,
-)
 from diagnosis.estimation.evaluation import reduced_chi_square
-from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.paired_errors import ModelErrors, channel_changes
 from dynamics.effects import CATALOGUE
-from tests.diagnosis.synthetic import CHANNELS, candidate, planted, white
-
-SOME = {name: CATALOGUE[name] for name in ("mass", "imu_bias", "gyro_bias")}
+from tests.diagnosis.synthetic import CHANNELS, planted, white
 
 
 @pytest.fixture(scope="module")
@@ -110,15 +102,3 @@ def test_what_else_is_missing_does_not_hide_a_change(of_noise):
 def test_noise_alone_has_a_reduced_chi_square_of_one(of_noise):
     rows = noise_rows(3, count=10)
     assert reduced_chi_square(rows, white()) == pytest.approx(1.0, abs=0.03)
-
-
-def test_a_rotor_that_lost_torque_alone_is_no_rotor_that_lost_thrust(arpl_250g):
-    """One stood in for a torque constant, beside effects that the flights show well."""
-    weak = dataclasses.replace(candidate(CATALOGUE["weak_rotor"], 0, 1), rotor=2)
-    estimates = {
-        (weak.key, "loss"): ParameterEstimate(0.0005, 0.001, "1"),
-        (weak.key, "torque_loss"): ParameterEstimate(0.32, 0.01, "1"),
-    }
-    of_torque = Fit(arpl_250g, estimates, (weak,), np.diag([0.001**2, 0.01**2]))
-    assert deviations_from_neutral(of_torque, weak, arpl_250g) == pytest.approx(0.5)
-    assert deviations_from_neutral(Fit(arpl_250g, {}, (weak,)), weak, arpl_250g) == 0.0  # nothing of it was fitted
