@@ -5,7 +5,6 @@ import pytest
 
 from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.paired_errors import ModelErrors, channel_changes
-from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, planted, white
 
 
