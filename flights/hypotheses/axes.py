@@ -7,7 +7,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.agreement import both, rms
 from flights.hypotheses import pose
-from flights.hypotheses.hypothesis import Hypothesis, Streams, after
+from flights.hypotheses.hypothesis import Hypothesis, Streams, after, is_better
 from flights.hypotheses.motion import MIN_SPEED, Motion
 from flights.hypotheses.pose import CLOSES, Reading, Turns
 from flights.hypotheses.rotation import FRD, NED, axes_text, fitted, in_words, is_none, is_whole
@@ -61,7 +61,7 @@ def of_velocity(streams: Streams, motion: Motion) -> list[Hypothesis]:
     if pair is None or rms(pair[1]) < MIN_SPEED or rms(pair[0]) == 0.0:
         return []
     fit = fitted(*pair, mirrored=True, snap=_MISALIGNED)
-    if not fit.is_turned or fit.closed < _ONE_MOTION:
+    if not fit.is_turned or fit.closed < _ONE_MOTION or not is_better(fit.closed, fit.plain):
         return []
     evidence = f"{fit.closed:.2f} of it is then the position's change, {fit.plain:.2f} as declared"
     ways = [("velocity", fit.turn.T), ("position", fit.turn)]

@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.agreement import correlations
 from flights.alignment import resample
-from flights.hypotheses.hypothesis import Hypothesis, Streams
+from flights.hypotheses.hypothesis import Hypothesis, Streams, is_better
 from flights.hypotheses.motion import GRID_RATE, MAX_ROWS, Motion
 from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
@@ -27,8 +27,7 @@ _REACH = 60.0  # s by which clocks may differ
 _MIN_OVERLAP = 10.0  # s that are compared
 _CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
 _FOLLOWS = 0.7  # correlation of the sizes of turning and rates at the right shift,
-_BETTER = 0.05  # by which it exceeds that without (others' logs of one clock: 0.016 at most), and
-_UNIQUE = 0.03  # that at any other shift further than a second
+_UNIQUE = 0.03  # by which it exceeds that at any other shift further than a second
 _SMALL = 0.5  # s, a shift that is likelier than a larger one: a periodic flight fits itself a period later
 
 
@@ -102,7 +101,7 @@ def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, 
     (start, one), (begin, other) = ours, others
     shift, follows, without = _best_shift(one, other, round((begin - start) * GRID_RATE))
     late = round(begin - start - shift / GRID_RATE, 3)  # s by which the other's stamps are late
-    if follows < _FOLLOWS or follows - without < _BETTER or abs(late) < _CLEAR_SHIFT:
+    if follows < _FOLLOWS or not is_better(follows, without) or abs(late) < _CLEAR_SHIFT:
         return None
     return Hypothesis(
         "clock",

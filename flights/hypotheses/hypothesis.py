@@ -11,6 +11,7 @@ from flights.log import Stream
 from flights.stream_repair import TIME, StreamRepair, apply, toml_value
 
 Streams = Mapping[str, Stream]  # by quantity
+_BETTER = 1 / 3  # share of what is open as declared
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ def in_words(hypotheses: Sequence[Hypothesis]) -> str:
     if not repairs:
         return " ".join(texts)
     return f"{'; '.join(texts)}. Wanted SI units, ENU and FLU, by one clock; {Hypothesis('', '', '', repairs).advice}."
+
+
+def is_better(share: float, declared: float) -> bool:
+    """Whether a share of a signal that another reading explains is clearly more than the declared one does: of what
+    that leaves open, one of many readings explains a little by chance, the more the larger an estimator's error is."""
+    return share - declared >= _BETTER * (1 - declared)
 
 
 def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:
