@@ -139,8 +139,9 @@ class Expectation:
     def _information(self, problem: Problem) -> Information:
         """Expected sums of a lap: of the columns alone, since a model that is right leaves white innovations."""
         along, (rows,), t = problem.along(0), problem.flights, problem.thresholds
-        B, D = problem.columns(0, along)
-        white, _ = start(self._gain, B.shape[2]).advance(along.model, B, np.ascontiguousarray(-D))
+        own = problem.inputs(0, along)
+        white, _ = start(self._gain, own.B.shape[2]).advance(along.model, own.B, own.D)
+        white = white[:, :, 1:]
         white = np.where(np.isfinite(white).all(axis=(0, 1)), white, 0.0)  # what cannot be followed is not shown
         first, length = round(EDGE / rows.period), round(t.block / rows.period)
         parts = [white[i : i + length].reshape(-1, white.shape[2]) for i in range(first, len(white), length)]

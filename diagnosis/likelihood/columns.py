@@ -201,6 +201,23 @@ def _is_followed(
     return model.hidden.is_followed(period, model.model.parameter_values)
 
 
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Inputs of the filter along a flight whose innovations are the flight's own, then their slopes in columns.
+
+    B: (N, i, 1 + u) of the error state at a row's end. D: (N, m, 1 + u) of the readings. used: (u,) numbers of the
+    columns; all others have none.
+    """
+
+    B: Floats
+    D: Floats
+    used: tuple[int, ...]
+
+    def places(self, columns: Sequence[int]) -> list[int]:
+        """Where some columns are, behind the flight's own."""
+        return [1 + self.used.index(column) for column in columns]
+
+
 def inputs(
     rows: FlightRows,
     along: Along,
@@ -211,23 +228,27 @@ def inputs(
     fitted: Mapping[int, Mapping[str, float]],
     only: Sequence[int] | None = None,
     starts: Starts = Starts(),
-) -> tuple[Floats, Floats]:
-    """(N, 9, k) of the error state's end and (N, m, k) of the readings, by a unit of each parameter.
+) -> Inputs:
+    """What a flight and a unit of each parameter put into the filter.
 
+    A slope of the innovations counts as -d nu / d parameter, so that nu less slopes times parameters is what is left.
     uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
-    only: candidates of which columns are chosen; those of others are zero. starts: of hidden states.
+    only: candidates of which columns are chosen; those of others are left out. starts: of hidden states.
     """
     count = along.speed.shape[1]
-    acting, readings = np.zeros((what.width, len(rows), 6)), np.zeros((what.width, len(rows), 12 + count))  # of KINDS
     chosen = list(range(len(what.all)) if only is None else only)
+    used = sorted(place for i in chosen for place in what.places(i))
+    used += range(len(what.columns), what.width)
+    at = {column: place for place, column in enumerate(used, 1)}
+    acting, readings = np.zeros((len(rows), 6, 1 + len(used))), np.zeros((len(rows), 12 + count, 1 + len(used)))
 
-    def set_outputs(columns: Sequence[int], slopes: Floats) -> None:
-        acting[columns] = slopes[:, :, :6]
-        for place, kind in enumerate(KINDS[:4]):
-            readings[columns, :, 3 * place : 3 * place + 3] = slopes[:, :, OUTPUTS[kind]]
-        readings[columns, :, 12:] = (
-            slopes[:, :, SPEEDS : SPEEDS + count] - along.spin_up * slopes[:, :, SPEEDS + count, None]
-        )
+    def set_outputs(columns: Sequence[int], slopes: Sequence[Floats]) -> None:
+        for place, slope in zip([at[column] for column in columns], slopes, strict=True):
+            acting[:, :, place] = slope[:, :6]
+            for first, kind in enumerate(KINDS[:4]):
+                readings[:, 3 * first : 3 * first + 3, place] = slope[:, OUTPUTS[kind]]
+            speeds, age = slope[:, SPEEDS : SPEEDS + count], slope[:, SPEEDS + count, None]
+            readings[:, 12:, place] = speeds - along.spin_up * age
 
     for layer in _layers(what, chosen, vehicle, catalogue):
         merged, free, columns = {(u.name, u.rotor): u for u in uses}, [], []
@@ -242,15 +263,24 @@ def inputs(
     for i in chosen:
         if what.all[i].effect.rotor_speed is not None:
             moved = np.einsum("tar,tr->ta", along.by_rotor, _moved_speeds(rows, along, what.all[i], i in fitted))
-            acting[what.places(i)] += moved
-            readings[what.places(i), :, 9:12] += moved[:, :3]
+            for place in [at[column] for column in what.places(i)]:
+                acting[:, :, place] += moved
+                readings[:, 9:12, place] += moved[:, :3]
     unknown = {n.of: i for i, n in enumerate(what.nuisances, len(what.columns)) if n.kind == "start"}
     if unknown:
         own = FlightModel(vehicle, uses, catalogue)
         set_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
-    _set_errors(what, along, acting, readings)
-    _set_discrepancies(what, rows, along, acting, readings)
-    return over_rows(rows, acting, readings)
+    first = 1 + len(used) - (what.width - len(what.columns))
+    of_discrepancies = first + len(what.nuisances)
+    errors = slice(first, of_discrepancies)
+    _set_errors(what.nuisances, along, acting[:, :, errors], readings[:, :, errors])
+    _set_discrepancies(
+        what.discrepancies, rows, along, acting[:, :, of_discrepancies:], readings[:, :, of_discrepancies:]
+    )
+    B, D = over_rows(rows, acting, readings)
+    np.negative(B, out=B)
+    B[:, :, 0], D[:, :, 0] = along.defect, along.difference
+    return Inputs(B, D, tuple(used))
 
 
 def _moved_speeds(rows: FlightRows, along: Along, lag: Candidate, in_model: bool) -> Floats:
@@ -260,44 +290,45 @@ def _moved_speeds(rows: FlightRows, along: Along, lag: Candidate, in_model: bool
     return rows.rotor_speed(lag.at[lag.effect.time_constants[0]]) - rows.rotor_speed(None)
 
 
-def _set_errors(what: Candidates, along: Along, acting: Floats, readings: Floats) -> None:
-    """Set the inputs of the errors that every log has. acting: (k, N, 6). readings: (k, N, 12 + rotors)."""
-    for column, nuisance in enumerate(what.nuisances, len(what.columns)):
+def _set_errors(nuisances: Sequence[Nuisance], along: Along, acting: Floats, readings: Floats) -> None:
+    """Set the inputs of the errors that every log has. acting: (N, 6, k). readings: (N, 12 + rotors, k)."""
+    for column, nuisance in enumerate(nuisances):
         kind, place = nuisance.kind, nuisance.place
         if kind == "gyro":
-            readings[column, :, 6 + place] = 1
+            readings[:, 6 + place, column] = 1
         elif kind == "accelerometer":
-            readings[column, :, 9 + place] = 1
+            readings[:, 9 + place, column] = 1
         elif kind == "level":
-            readings[column, :, 3 + place] = 1
+            readings[:, 3 + place, column] = 1
         elif kind == "attitude_clock":
-            readings[column, :, 3:6] = -along.rate
+            readings[:, 3:6, column] = -along.rate
         elif kind == "clock":
-            readings[column, :, 0:3] = -(along.force - GRAVITY * along.rotation[:, 2, :])
-            readings[column, :, 3:6] = -along.rate
+            readings[:, 0:3, column] = -(along.force - GRAVITY * along.rotation[:, 2, :])
+            readings[:, 3:6, column] = -along.rate
         elif kind == "rotor_clock":
-            readings[column, :, 12:] = -along.spin_up
+            readings[:, 12:, column] = -along.spin_up
         elif kind in ("force", "turning"):
             motion = along.force if kind == "force" else along.turning
-            acting[column, :, (3 if kind == "turning" else 0) + place] = motion[:, place] - motion[:, place].mean()
-            readings[column, :, 9 + place] = acting[column, :, place] if kind == "force" else 0.0
+            acting[:, (3 if kind == "turning" else 0) + place, column] = motion[:, place] - motion[:, place].mean()
+            readings[:, 9 + place, column] = acting[:, place, column] if kind == "force" else 0.0
 
 
-def _set_discrepancies(what: Candidates, rows: FlightRows, along: Along, acting: Floats, readings: Floats) -> None:
-    """Set the inputs of what no effect is. acting: (k, N, 6). readings: (k, N, 12 + rotors)."""
-    first = what.of_discrepancies.start
-    values = {of: of.along(rows, along) for of in dict.fromkeys(one.of for one in what.discrepancies)}
-    for one in what.discrepancies:
+def _set_discrepancies(
+    discrepancies: Sequence[Discrepancy], rows: FlightRows, along: Along, acting: Floats, readings: Floats
+) -> None:
+    """Set the inputs of what no effect is. acting: (N, 6, k). readings: (N, 12 + rotors, k)."""
+    first, values = 0, {of: of.along(rows, along) for of in dict.fromkeys(one.of for one in discrepancies)}
+    for one in discrepancies:
         columns = slice(first, first + len(one))
-        acting[columns] = one.acting(values[one.of], along)
-        readings[columns, :, 9:12] = acting[columns, :, :3]
+        one.act(acting[:, :, columns], values[one.of], along)
         first = columns.stop
+    readings[:, 9:12] = acting[:, :3]
 
 
 def _slopes(
     model: FlightModel, rows: FlightRows, along: Along, starts: Mapping[str, float], free: Sequence[str]
-) -> Floats:
-    """(k, N, 19 + rotors) slopes of the model's outputs in parameters, or in starts of hidden states; zero in those of
+) -> list[Floats]:
+    """(N, 19 + rotors) slopes of the model's outputs in each parameter, or start of hidden states; zero in those of
     effects whose hidden states cannot be followed along this flight."""
     hidden, driving = model.hidden, model.driving(rows, along.reference)
     path = model.hidden_path(rows, driving, starts)
@@ -308,29 +339,32 @@ def _slopes(
     slopes = {}
     if named:
         slopes = dict(zip(named, model.parameter_slopes(rows, along, named, path).transpose(1, 0, 2), strict=True))
+    moving = [name for name in free if name not in slopes or hidden.depends_on(name)]
+    here = model.outputs(rows, along, path) if moving else path
+    for name in moving:
+        if name.split(".")[0] not in lost:
+            slopes[name] = model.hidden_slope(rows, along, driving, starts, name, here)
     for name in free:
         if name.split(".")[0] in lost:
-            slopes[name] = np.zeros_like(slopes[name])
-        elif name not in slopes or hidden.depends_on(name):
-            slopes[name] = model.hidden_slope(rows, along, driving, starts, name)
-    return np.stack([slopes[name] for name in free])
+            slopes[name] = np.zeros_like(here)
+    return [slopes[name] for name in free]
 
 
 def over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:
-    """Inputs of a row's end and of its mean readings: force and angular acceleration are constant over a row."""
-    dt, K, N = rows.period, len(acting), len(rows)
-    force, turning = acting[:, :, :3].transpose(1, 2, 0), acting[:, :, 3:].transpose(1, 2, 0)
-    B = np.zeros((N, 9 + (2 * (readings.shape[2] - 12) if "rotor_speed" in rows.readings else 0), K))
-    B[:, 0:3], B[:, 3:6], B[:, 6:9] = dt * force, dt**2 / 2 * turning, dt * turning
+    """Inputs (N, i, k) of a row's end and (N, m, k) of its mean readings: force and angular acceleration are constant
+    over a row. acting: (N, 6, k). readings: (N, 12 + rotors, k), which are changed."""
+    dt, force, turning = rows.period, acting[:, :3], acting[:, 3:]
+    rotors = readings.shape[1] - 12 if "rotor_speed" in rows.readings else 0
+    B = np.zeros((len(rows), 9 + 2 * rotors, acting.shape[2]))
+    for states, values, factor in ((0, force, dt), (3, turning, dt**2 / 2), (6, turning, dt)):
+        np.multiply(values, factor, out=B[:, states : states + 3])
     B[:, unread(rows.readings)] = 0.0
-    D = readings.transpose(1, 2, 0).copy()
-    D[:, 0:3] += dt / 2 * force
-    early = turning if "rotor_speed" in rows.readings else before_reading(turning)
-    D[:, 3:6] += dt**2 / 6 * early
-    D[:, 6:9] += dt / 2 * early
+    early = turning if rotors else before_reading(turning)
+    for place, values, factor in ((0, force, dt / 2), (3, early, dt**2 / 6), (6, early, dt / 2)):
+        readings[:, place : place + 3] += factor * values
     used = [3 * i + axis for i, kind in enumerate(KINDS[:4]) if kind in rows.readings for axis in range(3)]
-    used += [*range(12, D.shape[1])] if "rotor_speed" in rows.readings else []
-    return B, np.ascontiguousarray(D[:, used]) if len(used) < D.shape[1] else np.ascontiguousarray(D)
+    used += range(12, 12 + rotors)
+    return B, readings if len(used) == readings.shape[1] else np.ascontiguousarray(readings[:, used])
 
 
 def _layers(

@@ -100,14 +100,12 @@ class Discrepancy:
         """(j,) of the coefficients."""
         return self.deviation * self.of.shares
 
-    def acting(self, values: Floats, along: Along) -> Floats:
-        """(j, N, 6) specific force and angular acceleration by unit coefficients. values: (N, j) of the functions."""
-        made = np.zeros((values.shape[1], len(values), 6))
+    def act(self, acting: Floats, values: Floats, along: Along) -> None:
+        """Set specific force and angular acceleration (N, 6, j) by unit coefficients. values: (N, j) of functions."""
         if self.of.kind == "place" and self.channel < 3:
-            made[:, :, :3] = values.T[:, :, None] * along.rotation[:, self.channel]
+            acting[:, :3] = along.rotation[:, self.channel][:, :, None] * values[:, None]
         else:
-            made[:, :, self.channel] = values.T
-        return made
+            acting[:, self.channel] = values
 
 
 def time_of(rows: FlightRows) -> Floats:

@@ -28,7 +28,7 @@ from diagnosis.likelihood.flight_rows import rows_by_kind
 from diagnosis.likelihood.gain import Gain
 from diagnosis.likelihood.identify import Identified, command_values
 from diagnosis.likelihood.innovations import start
-from diagnosis.likelihood.problem import Problem, data
+from diagnosis.likelihood.problem import Problem
 from diagnosis.models.free_start import moved_start
 from dynamics.arrays import Floats
 
@@ -153,7 +153,7 @@ class FlightScore:
             first = len(self._flight) + number * len(self._part)
             own = [*range(len(self._flight)), *range(first, first + len(self._part))]
             for flat, seconds in self.parts(place):
-                nu, X, inner = flat[:, 0], -flat[:, self._lasting], -flat[:, self._of_block]
+                nu, X, inner = flat[:, 0], flat[:, self._lasting], flat[:, self._of_block]
                 sums = inner.T @ inner, inner.T @ nu
                 quadratic, log_determinant, change = integrated(*sums, self._block_std)
                 slope = np.linalg.solve(sums[0] + np.diag(self._block_std**-2.0), inner.T @ X)
@@ -169,12 +169,8 @@ class FlightScore:
     def parts(self, place: int) -> list[tuple[Floats, float]]:
         """Whitened innovations and their slopes in the nuisances, (readings, 1 + k), of each block, and its seconds."""
         problem, rows, along = self._problem, self._problem.flights[place], self._problem.along(place)
-        B, D = problem.columns(place, along, [])
-        first = len(problem.what.columns)
-        own = slice(first, first + len(self._nuisances))
-        B0, D0 = data(along)
-        inputs = np.concatenate([B0, B[:, :, own]], 2), np.concatenate([D0, -D[:, :, own]], 2)
-        white, _ = start(self._gain, inputs[0].shape[2]).advance(along.model, *inputs)
+        own = problem.inputs(place, along, [])
+        white, _ = start(self._gain, own.B.shape[2]).advance(along.model, own.B, own.D)
         white = np.einsum("ij,tjk->tik", self._whitening, white, optimize=True)
         limits = problem.thresholds
         length = max(1, int(limits.block / rows.period))

@@ -49,11 +49,11 @@ def identify(
     else:
         noises = [likeliest(one, structures or structures_of(one.flights[0].segment)) for one in problems]
     members: tuple[int, ...] = ()
-    step = 0.0
+    step, refitted = 0.0, False
     for number in range(t.rounds):
         progress(0.4 + 0.6 * number / t.rounds, "the effects that explain what is left")
         kinds = [_informed(one, noise, first=number == 0) for one, noise in zip(problems, noises, strict=True)]
-        settled = number >= t.settled_rounds and (step < t.near or number == t.rounds - 1)
+        settled = refitted and (step < t.near or number == t.rounds - 1)
         search = Search(kinds, settled=settled, one_of=one_of)
         best = search.best(members) if fixed_set is None else search.score(fixed_set)
         if best.evidence == IMPOSSIBLE:
@@ -65,12 +65,14 @@ def identify(
         if (same and step < t.settled_step and settled) or number == t.rounds - 1:
             break
         fitted = values | command_values(search, best)
+        refit = not refitted and (number == t.settled_rounds - 1 or (same and not fitted))  # the model is at rest
         for place, problem in enumerate(problems):
             problem.move_to(fitted, starts_of(kinds[place], search, best))
             fitted = problem.fitted
-            if number == t.settled_rounds - 1:
+            if refit:
                 noise = noises[place]
                 noises[place] = fit_noise(problem, noise.structure, values=noise.values, only=members)
+        refitted = refitted or refit
     sums = [part for kind in kinds for part in kind.information]
     chi_square = sum(part.squares.sum() for part in sums) / sum(part.count for part in sums)
     return Identified(tuple(problems), tuple(noises), search, best, float(chi_square))

@@ -110,13 +110,13 @@ def _acting(result: Identified) -> dict[int, list[Floats]]:
     made: dict[int, list[Floats]] = {number: [] for number in members}
     for problem in result.problems:
         for place, rows in enumerate(problem.flights):
-            B, _ = problem.columns(place, problem.along(place), members)
-            slopes = np.concatenate([B[:, 0:3], B[:, 6:9]], axis=1) / rows.period
+            own = problem.inputs(place, problem.along(place), members)
+            slopes = -np.concatenate([own.B[:, 0:3], own.B[:, 6:9]], axis=1) / rows.period
             for number in members:
                 candidate = problem.what.all[number]
                 present = candidate.present or {p.name: p.neutral for p in candidate.effect.parameters}
                 change = [value - present[name] for name, value in values[number].items()]
-                made[number].append(np.asarray(slopes[:, :, problem.what.places(number)] @ change))
+                made[number].append(np.asarray(slopes[:, :, own.places(problem.what.places(number))] @ change))
     return made
 
 
@@ -258,7 +258,9 @@ def _shown(race: _Race, effects: Sequence[int], number: int, flights: Sequence[t
     """A discrepancy beside all others, with its course."""
     one, (log_odds, values) = race.every[number], race.alone(effects, number)
     mine = [flight for flight in flights if not isinstance(one.of, Line) or flight[0].group in one.of.groups]
-    courses = [one.acting((one.of.along(*flight) @ values)[:, None], flight[1])[0] for flight in mine]
+    courses = [np.zeros((len(rows), 6)) for rows, _ in mine]
+    for course, flight in zip(courses, mine, strict=True):
+        one.act(course[:, :, None], (one.of.along(*flight) @ values)[:, None], flight[1])
     channel = int(np.argmax(np.sum([np.sum(course**2, axis=0) for course in courses], axis=0)))
     rows = tuple(rows for rows, _ in mine)
     return Left(one, log_odds, channel, rows, tuple(course[:, channel] for course in courses))

@@ -81,10 +81,10 @@ def _over_white(gains: Floats, width: int) -> Floats:
 
 def _response(rows: FlightRows, gain: Gain, frequency: Floats) -> NDArray[np.complex128]:
     """(6, f, m) whitened innovations by a unit of each channel."""
-    acting = np.zeros((CHANNELS, len(rows), CHANNELS))
-    acting[range(CHANNELS), :, range(CHANNELS)] = 1.0
-    readings = np.zeros((CHANNELS, len(rows), 12 + rows.rotor_speed(None).shape[1]))
-    readings[:, :, 9:12] = acting[:, :, :3]
+    acting = np.zeros((len(rows), 6, CHANNELS))
+    acting[:, range(CHANNELS), range(CHANNELS)] = 1.0
+    readings = np.zeros((len(rows), 12 + rows.rotor_speed(None).shape[1], CHANNELS))
+    readings[:, 9:12] = acting[:, :3]
     B, D = (x[len(rows) // 2] for x in over_rows(rows, acting, readings))
     into = np.zeros((len(gain.transition), CHANNELS))
     into[: len(B)] = B

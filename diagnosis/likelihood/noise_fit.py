@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.likelihood.columns import Inputs
 from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant, Turning, make_gain, noise_slopes, slopes
 from diagnosis.likelihood.innovations import start
 from diagnosis.likelihood.problem import Problem
@@ -53,11 +54,10 @@ class NoiseFit:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """A flight about its reference, and the inputs of all columns."""
+    """A flight about its reference, and its inputs. first: row that counts."""
 
     along: Along
-    B: Floats
-    D: Floats
+    inputs: Inputs
     first: int
 
 
@@ -129,22 +129,20 @@ class Fitter:
         self.data = []
         for place in self.places:
             along = self.problem.along(place)
-            B, D = self.problem.columns(place, along, only)
-            B = np.concatenate([along.defect[:, :, None], B], axis=2)
-            D = np.concatenate([along.difference[:, :, None], -D], axis=2)
-            self.data.append(
-                _Data(along, B, D, int(self.problem.thresholds.burn_in / self.problem.flights[place].period))
-            )
+            first = int(self.problem.thresholds.burn_in / self.problem.flights[place].period)
+            self.data.append(_Data(along, self.problem.inputs(place, along, only), first))
 
     def profile(self, gain: Gain) -> None:
         """The candidates' values at the present noise, by ridge regression."""
         what = self.problem.what
-        M, g = np.zeros((what.width, what.width)), np.zeros(what.width)
+        M, g, columns = np.zeros((what.width, what.width)), np.zeros(what.width), list(self.data[0].inputs.used)
         for data in self.data:
-            white, _ = start(gain, data.B.shape[2]).advance(data.along.model, data.B, data.D)
+            own = data.inputs
+            white, _ = start(gain, own.B.shape[2]).advance(data.along.model, own.B, own.D)
             flat = white[data.first :].reshape(-1, white.shape[2])
-            X = -flat[:, 1:]
-            M, g = M + X.T @ X, g + X.T @ flat[:, 0]
+            sums = flat.T @ flat
+            M[np.ix_(columns, columns)] += sums[1:, 1:]
+            g[columns] += sums[0, 1:]
         size = np.sqrt(np.diag(M))
         sizes = [std for one in what.discrepancies for std in one.deviations]
         lasting = np.array([True] * len(what.columns) + [n.lasts in ("always", "flight") for n in what.nuisances])
@@ -163,10 +161,10 @@ class Fitter:
         self.theta = np.zeros(what.width)
         self.theta[used] = np.linalg.solve(scaled + np.diag(prior), g[used] / size[used]) / size[used]
 
-        weights = np.concatenate([[1.0], self.theta])
+        weights = np.concatenate([[1.0], -self.theta[columns]])
         self._residuals = [
-            (np.ascontiguousarray((d.B @ weights)[:, :, None]), np.ascontiguousarray((d.D @ weights)[:, :, None]))
-            for d in self.data
+            (np.ascontiguousarray((x.B @ weights)[:, :, None]), np.ascontiguousarray((x.D @ weights)[:, :, None]))
+            for x in (data.inputs for data in self.data)
         ]
 
     def objective(self, gain: Gain, logs: Floats) -> float:

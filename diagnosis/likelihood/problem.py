@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from diagnosis.likelihood.beginnings import beginning
-from diagnosis.likelihood.columns import Candidates, Starts, about, fitted_uses, has_states, inputs
+from diagnosis.likelihood.columns import Candidates, Inputs, Starts, about, fitted_uses, has_states, inputs
 from diagnosis.likelihood.features import Discrepancy
 from diagnosis.likelihood.flight_rows import FlightRows, Reference
 from diagnosis.likelihood.gain import Gain, NoiseSlopes, Plant
@@ -126,8 +126,8 @@ class Problem:
             _, states = start(gain, 1).advance(along.model, *data(along), path=True)
             self.references[place] = moved_reference(along.reference, states)
 
-    def columns(self, place: int, along: Along, only: Sequence[int] | None = None) -> tuple[Floats, Floats]:
-        """Inputs of candidates and nuisances along a flight."""
+    def inputs(self, place: int, along: Along, only: Sequence[int] | None = None) -> Inputs:
+        """Of a flight, of candidates, all or some, and of nuisances along it."""
         what = self.what
         chosen = [i for i in (range(len(what.all)) if only is None else only) if i not in self.fitted]
         begun = {i: self._beginning(place, i, along) for i in chosen if has_states(what.all[i].effect)}
@@ -172,32 +172,33 @@ class Problem:
         made, inverse = [], np.linalg.inv(gain.whitening)
         for place, rows in enumerate(self.flights):
             along = self.along(place)
-            B, D = self.columns(place, along, only)
-            B0, D0 = data(along)
-            white, states = start(gain, 1 + B.shape[2]).advance(
-                along.model, np.concatenate([B0, B], 2), np.concatenate([D0, -D], 2), path=True
-            )
+            own = self.inputs(place, along, only)
+            white, states = start(gain, own.B.shape[2]).advance(along.model, own.B, own.D, path=True)
             moved = noise.inputs(states, white[:, :, 0] @ inverse.T)
             by_noise, _ = start(gain, len(noise.V)).advance(along.model, *moved)
-            made.append(self._summed(rows, np.concatenate([white, by_noise], axis=2), gain, noise))
+            made.append(self._summed(rows, own.used, white, by_noise, gain, noise))
         return made
 
-    def _summed(self, rows: FlightRows, white: Floats, gain: Gain, noise: NoiseSlopes) -> Information:
+    def _summed(
+        self, rows: FlightRows, used: Sequence[int], white: Floats, by_noise: Floats, gain: Gain, noise: NoiseSlopes
+    ) -> Information:
+        """Of innovations and their slopes in the used columns (N, m, 1 + u), and in the noise's values (N, m, h)."""
         first, length = int(self.thresholds.burn_in / rows.period), max(1, int(self.thresholds.block / rows.period))
-        M, g, squares, counted, H = [], [], [], 0, len(noise.V)
-        for begin in range(first, len(white), length):
-            part = white[begin : begin + length]
-            flat = part.reshape(-1, part.shape[2])
-            nu, X = flat[:, 0], -flat[:, 1:]
-            M.append(X.T @ X)
-            g.append(X.T @ nu)
-            M[-1][-H:, -H:] += noise.information(len(part))
-            g[-1][-H:] += noise.score(part[:, :, 0])
-            squares.append(nu @ nu)
+        begins, width, H = range(first, len(white), length), self.what.width, len(noise.V)
+        M, g = np.zeros((len(begins), width + H, width + H)), np.zeros((len(begins), width + H))
+        squares, counted, columns = np.zeros(len(begins)), 0, np.array(used, dtype=int)
+        for place, begin in enumerate(begins):
+            part, moved = (x[begin : begin + length] for x in (white, by_noise))
+            own, other = part.reshape(-1, part.shape[2]), moved.reshape(-1, H)
+            sums, across = own.T @ own, own.T @ other
+            squares[place], g[place, columns] = sums[0, 0], sums[0, 1:]
+            M[place][np.ix_(columns, columns)] = sums[1:, 1:]
+            M[place, columns, width:], M[place, width:, columns] = -across[1:], -across[1:]
+            M[place, width:, width:] = other.T @ other + noise.information(len(part))
+            g[place, width:] = noise.score(part[:, :, 0]) - across[0]
             counted += len(part)
-        likelihood = -(sum(squares) + counted * gain.log_determinant) / 2  # but for a constant
-        sums = np.array(M), np.array(g), np.array(squares)
-        return Information(rows.group, *sums, counted * white.shape[1], counted, float(likelihood))
+        likelihood = -(squares.sum() + counted * gain.log_determinant) / 2  # but for a constant
+        return Information(rows.group, M, g, squares, counted * white.shape[1], counted, float(likelihood))
 
 
 def _key(place: int, candidate: Candidate) -> Hashable:

@@ -36,7 +36,7 @@ SPEEDS = 18
 # of a period after the row before: where a line has its effect on a rate that is read in the middle of a row (3/4), or
 # as its mean (5/6)
 BEFORE_READING = 0.8
-START_STEP, PARAMETER_STEP = 0.05, 1e-3  # deviations, and relative: of differences for slopes of hidden states
+START_STEP, PARAMETER_STEP = 0.01, 1e-5  # deviations, and relative: of differences for slopes of hidden states
 MAX_SAVED = 256
 _functions: dict[Hashable, RowFunction] = {}
 
@@ -178,20 +178,20 @@ class FlightModel:
         return values.reshape(len(rows), len(free), values.shape[1] // max(len(free), 1))
 
     def hidden_slope(
-        self, rows: FlightRows, along: Along, driving: Floats, starts: Mapping[str, float], name: str
+        self, rows: FlightRows, along: Along, driving: Floats, starts: Mapping[str, float], name: str, here: Floats
     ) -> Floats:
         """(N, 19 + rotors) slope of the outputs in a parameter on which the hidden states depend, or in one of their
-        starts: the difference between two values of it."""
-        ends, outputs = self._ends(name, starts), []
-        for end in ends:
-            p, begins = self.model.parameter_values.copy(), dict(starts)
-            if name in self.hidden.starts:
-                begins[name] = end
-            else:
-                p[self.model.parameter_index(name)] = end
-            path = self.hidden_path(rows, driving, begins, p)
-            outputs.append(self.outputs(rows, along, path, p))
-        return np.asarray((outputs[1] - outputs[0]) / (ends[1] - ends[0]))
+        starts: the difference to a value nearby. here: the outputs at the present one."""
+        p, begins = self.model.parameter_values.copy(), dict(starts)
+        if name in self.hidden.starts:
+            step = START_STEP * self.hidden.starts[name][1]
+            begins[name] = starts.get(name, 0.0) + step
+        else:
+            place = self.model.parameter_index(name)
+            step = self._step(name, p[place])
+            p[place] += step
+        path = self.hidden_path(rows, driving, begins, p)
+        return np.asarray((self.outputs(rows, along, path, p) - here) / step)
 
     def outputs(self, rows: FlightRows, along: Along, hidden: Floats, values: Floats | None = None) -> Floats:
         """(n, 19 + rotors) the model's outputs with hidden states (n, h) as given, of a flight's first n rows."""
@@ -200,18 +200,14 @@ class FlightModel:
         made = self._evaluated(rows, v, R, w, along.speed[:n], along.spin_up[:n], (), hidden, values)
         return made[:, : SPEEDS + count + 1]
 
-    def _ends(self, name: str, starts: Mapping[str, float]) -> tuple[float, float]:
-        """Two values, near the present one, between which a slope is taken."""
-        if name in self.hidden.starts:
-            step = START_STEP * self.hidden.starts[name][1]
-            return starts.get(name, 0.0) - step, starts.get(name, 0.0) + step
+    def _step(self, name: str, value: float) -> float:
+        """From a parameter's value to one nearby, within its bounds."""
         key, own = name.rsplit(".", 1)
         parameter = next(
             p for item in self.model.effects if item.key == key for p in item.effect.parameters if p.name == own
         )
-        value = float(self.model.parameter_values[self.model.parameter_index(name)])
         step = PARAMETER_STEP * (abs(value) or parameter.prior(self.model.vehicle).std)
-        return max(parameter.lower, value - step), min(parameter.upper, value + step)
+        return step if value + step <= parameter.upper else -step
 
     def _evaluated(
         self,

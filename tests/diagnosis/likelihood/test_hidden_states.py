@@ -48,7 +48,8 @@ def test_columns_of_a_load_and_of_its_start_are_slopes_of_the_model(name, step):
     else:
         column = len(what.columns) + [n.of for n in what.nuisances].index(name)
     along = problem.along(0)
-    B, D = problem.columns(0, along, [number])
+    own = problem.inputs(0, along, [number])
+    (column,) = own.places([column])
     ends = []
     for sign in (1, -1):
         values = {**LOAD, name: LOAD[name] + sign * step} if name in LOAD else LOAD
@@ -58,8 +59,8 @@ def test_columns_of_a_load_and_of_its_start_are_slopes_of_the_model(name, step):
         ends.append(model.along(rows, along.reference, lift, starts))
     defect = (ends[0].defect - ends[1].defect)[:, :9] / (2 * step)
     read = -(ends[0].difference - ends[1].difference) / (2 * step)
-    np.testing.assert_allclose(B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
-    np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
+    np.testing.assert_allclose(-own.B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
+    np.testing.assert_allclose(own.D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
 
 
 def test_a_load_that_the_file_holds_has_free_starts_and_others_have_none():
@@ -95,8 +96,8 @@ def test_a_users_wake_begins_between_the_points_of_its_grid():
     what = candidates(vehicle, catalogue, dataset.fitted)
     problem = Problem(vehicle, catalogue, rows, what)
     number = next(i for i, c in enumerate(what.all) if c.effect.name == "late_drag" and c.at["tau"] == 0.2)
-    B, _ = problem.columns(0, problem.along(0), [number])
-    assert np.abs(B[:, :3, what.places(number)]).max() > 0
+    own = problem.inputs(0, problem.along(0), [number])
+    assert np.abs(own.B[:, :3, own.places(what.places(number))]).max() > 0
     truth = EffectUse("late_drag", {"coefficient": 0.5, "tau": 0.15})
     lift = np.array([0.0, 0.0, GRAVITY])
     wake = FlightModel(vehicle, [*vehicle.effects, truth], catalogue).along(rows[0], problem.reference(0), lift)

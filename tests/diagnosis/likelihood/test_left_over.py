@@ -106,6 +106,7 @@ def test_a_force_by_place_stands_in_the_world_and_one_by_velocity_turns_with_the
     values = np.ones((len(rows), 1))
     for kind, expected in (("place", along.rotation[:, 0, :]), ("velocity", np.tile([1.0, 0.0, 0.0], (len(rows), 1)))):
         functions = smooth(kind, [(rows, along)], fineness=1.0, count=1, seed=0)
-        acting = Discrepancy(functions, 0, 1.0).acting(values, along)
-        np.testing.assert_allclose(acting[0, :, :3], expected)
-        assert not acting[0, :, 3:].any()
+        acting = np.zeros((len(rows), 6, 1))
+        Discrepancy(functions, 0, 1.0).act(acting, values, along)
+        np.testing.assert_allclose(acting[:, :3, 0], expected)
+        assert not acting[:, 3:].any()

@@ -34,9 +34,9 @@ def test_a_column_is_the_slope_of_the_model(name, parameter, step):
     what, rows, lift = problem.what, problem.flights[0], np.array([0.0, 0.0, GRAVITY])
     number = next(i for i, c in enumerate(what.all) if c.effect.name == name)
     candidate = what.all[number]
-    column = what.places(number)[candidate.free.index(parameter)]
     along = problem.along(0)
-    B, D = problem.columns(0, along, [number])
+    own = problem.inputs(0, along, [number])
+    (column,) = own.places([what.places(number)[candidate.free.index(parameter)]])
     ends = []
     for sign in (1, -1):
         values = {**candidate.at, parameter: candidate.at[parameter] + sign * step}
@@ -44,8 +44,8 @@ def test_a_column_is_the_slope_of_the_model(name, parameter, step):
         ends.append(FlightModel(problem.vehicle, uses, problem.catalogue).along(rows, along.reference, lift))
     defect = (ends[0].defect - ends[1].defect)[:, :9] / (2 * step)
     read = -(ends[0].difference - ends[1].difference) / (2 * step)
-    np.testing.assert_allclose(B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
-    np.testing.assert_allclose(D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
+    np.testing.assert_allclose(-own.B[:, :9, column], defect, atol=0.02 * np.abs(defect).max() + 1e-9)
+    np.testing.assert_allclose(own.D[:, :, column], read, atol=0.02 * np.abs(read).max() + 1e-9)
 
 
 def made_up(
