@@ -229,7 +229,7 @@ def inputs(
     only: Sequence[int] | None = None,
     starts: Starts = Starts(),
 ) -> Inputs:
-    """What a flight and a unit of each parameter put into the filter.
+    """A flight and a unit of each parameter as the filter takes them in.
 
     A slope of the innovations counts as -d nu / d parameter, so that nu less slopes times parameters is what is left.
     uses: effects of the model along which it is linear. fitted: values of candidates that are in it, by number.
