@@ -23,7 +23,6 @@ from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
 from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import Candidate, Identity
-from diagnosis.selection.gust import AirMotion, air_beside, gust_beside, gust_variance
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import about_fit
 from diagnosis.verdict import parameters_of
@@ -39,13 +38,12 @@ NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look 
 class LikelihoodAnswer:
     """The named effects by the likelihood, and the regression's view of them.
 
-    result: the best set. regression: about the named effects. air: beside them.
+    result: the best set. regression: about the named effects.
     """
 
     result: Identified
     named: tuple[Named, ...]
     regression: Regression
-    air: AirMotion
     accepted: Accepted
 
     @property
@@ -160,12 +158,7 @@ def _about_named(
     """The answer that names some effects of a result. first: the regression about the vehicle's own model."""
     fitted = likelihood_fit(result.search, first, named)
     regression = (about(first, fitted) if named else None) or first
-    own = _in_regression(regression, named, fitted)
-    regression = regression.in_gust(gust_variance(regression, own))
-    air = air_beside(regression, gust_beside(first, []), own)
-    return LikelihoodAnswer(
-        result, named, regression, air, _accepted(result.search, regression, named, dataset, refused)
-    )
+    return LikelihoodAnswer(result, named, regression, _accepted(result.search, regression, named, dataset, refused))
 
 
 def _refused(one: Doubted, log_odds: float) -> Refused:
@@ -176,20 +169,6 @@ def _refused(one: Doubted, log_odds: float) -> Refused:
         return Refused(effect.name, one.candidate.rotor, "unsure", detail, "", one.values)
     detail = {"size": one.size, "required": effect.min_detectable}
     return Refused(effect.name, one.candidate.rotor, "too_small", detail, "", one.values)
-
-
-def air_about(first: Regression, answer: LikelihoodAnswer) -> tuple[Regression, AirMotion]:
-    """The air beside an answer's effects, and the regression by which it is judged.
-
-    A gust that is detected is judged again by rows and columns about their fit: about another one, as that of a vehicle
-    in still air, they leave what is not linear in a steady wind, which looks like a gust. first: before any effect.
-    """
-    regression, fitted = answer.regression, answer.accepted.fit
-    air = air_beside(regression, answer.air.before, fitted.candidates)
-    if not air.detected or not fitted.candidates:
-        return regression, air
-    again = about(first, fitted)
-    return (regression, air) if again is None else (again, air_beside(again, air.before, fitted.candidates))
 
 
 def about(regression: Regression, fitted: Fit) -> Regression | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.by_likelihood import LikelihoodAnswer, air_about, answer_beside, answer_by_likelihood
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_beside, answer_by_likelihood
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
@@ -19,15 +19,14 @@ from diagnosis.estimation.evaluation import (
     sensors_floor,
 )
 from diagnosis.estimation.fitted import Fit
-from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover
+from diagnosis.likelihood.gust import gust_in
 from diagnosis.likelihood.held_out_score import held_out_score
-from diagnosis.likelihood.left_over import Left, left_over
+from diagnosis.likelihood.left_over import LeftOver, left_over
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
-from diagnosis.selection.gust import AirMotion
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
@@ -35,7 +34,6 @@ from diagnosis.tried import Tried, not_excited, tried_by_likelihood
 from diagnosis.verdict import (
     channel_errors,
     considered,
-    gust_refusal,
     judge,
     with_gust,
 )
@@ -53,7 +51,7 @@ class DiagnosisDetails:
 
     diagnosis: the answer.
     vehicle: with the missing effects at their fitted values.
-    regression: of the fitted flights. air: in them, beside the effects.
+    regression: of the fitted flights.
     accepted: the named effects, and what was taken back.
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
@@ -66,7 +64,6 @@ class DiagnosisDetails:
     diagnosis: Diagnosis
     vehicle: Vehicle
     regression: Regression
-    air: AirMotion
     accepted: Accepted
     before: list[Floats]
     after: list[Floats]
@@ -92,21 +89,23 @@ def diagnose_dataset(
     require_answerable(dataset.everything, vehicle, thresholds)
     progress(0.05, "signals of the catalogue's effects")
     first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    answer, judged, before, effects = _answered(first, dataset, part_of(progress, 0.35, 1.0))
-    regression, accepted = answer.regression, answer.accepted
+    answer, rest = _answered(first, dataset, part_of(progress, 0.35, 1.0))
+    regression, accepted, refused = answer.regression, answer.accepted, answer.accepted.refused
+    effects = _effects(answer, rest)
+    before = residuals_in(first, answer.vehicle_without, dataset.held_out)  # with biases by noise about no effects
+    after = residuals_in(regression, accepted.fit.vehicle, dataset.held_out)
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
     if gain is not None:
-        effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(judged.left))
+        effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(rest.left))
     named = [one.number for one in answer.named]
     quiet, tried = not_excited(answer.search, named), tried_by_likelihood(answer.search, named)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
-    left = leftover(judged.left, dataset.fitted, accepted.floor, vehicle, thresholds)
-    refused = (*accepted.refused, *judged.refused)
+    left = leftover(rest.left, dataset.fitted, accepted.floor, vehicle, thresholds)
     diagnosis = Diagnosis(
-        verdict=judge(effects, judged.left),
+        verdict=judge(effects, rest.left),
         effects=effects,
-        channels=channel_errors(before, judged.after, accepted.floor, sensors),
+        channels=channel_errors(before, after, accepted.floor, sensors),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight(effects, left, refused, quiet, catalogue),
@@ -122,25 +121,20 @@ def diagnose_dataset(
         diagnosis=diagnosis,
         vehicle=without_command_effects(accepted.fit.vehicle),
         regression=regression,
-        air=judged.air,
         accepted=accepted,
         before=before,
-        after=judged.after,
+        after=after,
         chi_square_before=reduced_chi_square(before, regression.noise),
-        chi_square_after=reduced_chi_square(judged.after, regression.noise),
+        chi_square_after=reduced_chi_square(after, regression.noise),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
         tried=tried,
         likelihood=answer,
     )
 
 
-def _answered(
-    first: Regression, dataset: Dataset, progress: Progress
-) -> tuple[LikelihoodAnswer, _Judged, list[Floats], tuple[MissingEffect, ...]]:
-    """The likelihood's answer, what is left of the flights with it, (m, 12) held-out residuals without, and the effects
-    with the gust beside them."""
+def _answered(first: Regression, dataset: Dataset, progress: Progress) -> tuple[LikelihoodAnswer, LeftOver]:
+    """The likelihood's answer, and what it leaves of the flights. first: about the vehicle's own model."""
     answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.6))
-    before = residuals_in(first, answer.vehicle_without, dataset.held_out)  # with biases by noise about no effects
     progress(0.6, "what no effect explains")
     left = left_over(answer.result)
     if left.left:
@@ -148,13 +142,15 @@ def _answered(
         refuted = {(one.name, one.rotor) for one in answer.accepted.refused if one.reason == "another_form"}
         if refuted:  # what those made is left as well
             left = left_over(answer.result, refuted)
-    judged = _judged(first, answer, left.left, dataset)
-    effects = (
-        with_gust(answer.missing(), judged.air, sum(one.log_odds for one in answer.named))
-        if judged.gusty
-        else answer.missing()
-    )
-    return answer, judged, before, effects
+    return answer, left
+
+
+def _effects(answer: LikelihoodAnswer, left: LeftOver) -> tuple[MissingEffect, ...]:
+    """The named effects, and a gust beside them. left: beside these."""
+    gust = gust_in(answer.result.problems, left)
+    if gust is None or gust.log_odds < answer.search.problem.thresholds.named:
+        return answer.missing()
+    return with_gust(answer.missing(), gust, sum(one.log_odds for one in answer.named))
 
 
 def _not_followed(regression: Regression) -> list[str]:
@@ -223,33 +219,3 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
         return dataset.notes
     first, fitted = dataset.curve.note(), dataset.curve.note(gain.value, gain.std)
     return tuple(fitted if note == first else note for note in dataset.notes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """Residuals and leftovers of an answer.
-
-    air: beside its effects. left: what no effect is.
-    after: (m, 12) on the held-out segments.
-    gusty: whether a gust is named. refused: a gust that is not.
-    """
-
-    air: AirMotion
-    left: tuple[Left, ...]
-    after: list[Floats]
-    gusty: bool
-    refused: tuple[Refused, ...]
-
-
-def _judged(first: Regression, answer: LikelihoodAnswer, left: tuple[Left, ...], dataset: Dataset) -> _Judged:
-    """A gust and the residuals of an answer. first: about the vehicle's own model."""
-    regression, vehicle = answer.regression, answer.accepted.fit.vehicle
-    by_fit, air = air_about(first, answer)
-    refused = gust_refusal(by_fit, air, left, regression.thresholds.verdict)
-    return _Judged(
-        air=air,
-        left=left,
-        after=residuals_in(regression, vehicle, dataset.held_out),
-        gusty=air.detected and refused is None,
-        refused=() if refused is None else (refused,),
-    )

@@ -34,7 +34,7 @@ class MissingEffect(msgspec.Struct, frozen=True):
     parameters: fitted, or held with a standard deviation of 0.
     confidence: probability that it, or one of `ambiguous_with`, is there beside the other effects.
     ambiguous_with: effects that these flights cannot tell from it.
-    by_resamples: whether the confidence is a share of flight resamples, as a gust's and that of a gain of commands.
+    by_resamples: whether the confidence is a share of flight resamples, as that of a gain of commands.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""From a fit and what it leaves to the answer: the gust beside the effects, the tests that reject, the verdict."""
+"""From a fit and what it leaves to the answer: the gust beside the effects, and the verdict."""
 
 from __future__ import annotations
 
@@ -9,76 +9,23 @@ import numpy as np
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
-from diagnosis.likelihood.features import Line
+from diagnosis.likelihood.gust import Gust
 from diagnosis.likelihood.left_over import Left
 from diagnosis.models import channels
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import AirMotion, Gust, signal_of
-from diagnosis.selection.regression import Regression
-from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from diagnosis.tried import Tried
 from dynamics.arrays import Floats
 
 
-def gust_refusal(
-    regression: Regression, air: AirMotion, left: Sequence[Left], thresholds: VerdictThresholds = DEFAULT.verdict
-) -> Refused | None:
-    """Why a gust that was detected is not named, None where it is named or none was detected.
-
-    Air in motion is no function of the vehicle's state, its place or time, and has no line where it moves: where a
-    force that is one has more than some share of a gust's power, it is none. Nor is one named that would not raise the
-    error of any axis by what matters.
-    """
-    if not air.detected or air.gust.effect is None:
-        return None
-    if (small := _small_gust(regression, air.gust)) is not None:
-        return small
-    signal = signal_of(air.gust, regression)
-    highest = regression.thresholds.gust.max_frequency
-    slow = [one for one in left if not isinstance(of := one.discrepancy.of, Line) or of.frequency <= highest]
-    forces = [one for one in slow if one.channel < channels.AXES]
-    if signal is None or not forces:
-        return None
-    power = np.sum(signal[channels.SPECIFIC_FORCE] ** 2) or np.sum(signal[channels.POSE_ACCELERATION] ** 2)
-    share = float(sum(one.rms**2 for one in forces) / power)
-    if share <= thresholds.max_gust_predictable:
-        return None
-    where = max(forces, key=lambda one: one.rms).discrepancy.of.kind
-    detail = {"share": share, "required": thresholds.max_gust_predictable}
-    strength = {air.gust.effect.parameters[0].name: air.gust.intensity}
-    return Refused(air.gust.effect.name, None, "predictable", detail, where, strength)
-
-
-def _small_gust(regression: Regression, gust: Gust) -> Refused | None:
-    """The refusal of a gust whose air pushes by less than what matters, as an estimate errs; None otherwise.
-
-    Air that only turns the vehicle is none: a torque of turbulence is taken for it where flapping is in the model.
-    """
-    signal, floor = signal_of(gust, regression), regression.noise.floor
-    if signal is None or gust.effect is None:
-        return None
-    active = regression.noise.active
-    forces = [i for i in active if i < channels.POSE_ACCELERATION.stop] or list(active)
-    axis = max(forces, key=lambda i: signal[i] / floor[i])
-    if np.hypot(signal[axis], floor[axis]) >= (1 + regression.thresholds.relevance.min_rise) * floor[axis]:
-        return None
-    detail = {"signal": float(signal[axis]), "floor": float(floor[axis])}
-    strength = {gust.effect.parameters[0].name: gust.intensity}
-    return Refused(gust.effect.name, None, "too_small", detail, channels.KINDS[axis // channels.AXES], strength)
-
-
-def with_gust(effects: tuple[MissingEffect, ...], air: AirMotion, log_odds: float) -> tuple[MissingEffect, ...]:
+def with_gust(effects: tuple[MissingEffect, ...], gust: Gust, log_odds: float) -> tuple[MissingEffect, ...]:
     """The effects and the gust beside them, first or second. log_odds: of the effects against none."""
-    gust = air.gust
-    if gust.effect is None:
-        return effects
     parameter = gust.effect.parameters[0]
     strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
-    place = 0 if air.before.score > 2 * log_odds else min(1, len(effects))
+    place = 0 if gust.log_odds > log_odds else min(1, len(effects))
     return (
         *effects[:place],
-        MissingEffect(gust.effect.name, None, strength, gust.share, (), by_resamples=True),
+        MissingEffect(gust.effect.name, None, strength, gust.probability, ()),
         *effects[place:],
     )
 

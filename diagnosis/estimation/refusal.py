@@ -8,7 +8,7 @@ import msgspec
 
 from diagnosis.models.channels import NAMES
 
-Reason = Literal["too_small", "unsure", "open_loop_alike", "another_form", "predictable"]
+Reason = Literal["too_small", "unsure", "open_loop_alike", "another_form"]
 HINTS: tuple[Reason, ...] = ("unsure",)
 
 
@@ -61,12 +61,5 @@ def reason_of(refused: Refused) -> str:
             text = (
                 "its form is another one's: functions of state, velocity or time that are left beside it have "
                 f"{number['share']} of what it makes, and an imperfect form may leave {number['required']}"
-            )
-        case "predictable" if refused.where == "line":
-            text = f"air in motion has no line in its spectrum, but one has {number['share']} of the power of this one"
-        case "predictable":
-            text = (
-                f"air in motion is no function of the {where}, but one of it has {number['share']} of the power of "
-                "this one"
             )
     return text

@@ -315,7 +315,8 @@ class Search:
             candidate = self.what.all[i]
             if not candidate.free:
                 lag = next(p for p in candidate.effect.parameters if p.name == candidate.effect.time_constants[0])
-                lowest, highest = (lag.lower, lag.upper) if i in self.problem.fitted else DEFAULT.search.amplitude
+                size = self.problem.thresholds.amplitude
+                lowest, highest = (lag.lower, lag.upper) if i in self.problem.fitted else size
                 if not lowest < values[first] < highest:
                     return None
                 first += 1

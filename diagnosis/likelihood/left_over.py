@@ -19,7 +19,7 @@ from diagnosis.likelihood.features import Discrepancy, Line, smooth
 from diagnosis.likelihood.flight_rows import FlightRows
 from diagnosis.likelihood.identify import Identified
 from diagnosis.likelihood.lines import CHANNELS, strongest_lines
-from diagnosis.likelihood.noise_fit import refit_disturbances
+from diagnosis.likelihood.noise_fit import NoiseFit, refit_disturbances
 from diagnosis.likelihood.rigid_body import Along
 from diagnosis.selection.candidates import Identity
 from dynamics.arrays import Floats
@@ -51,10 +51,12 @@ class Left:
 class LeftOver:
     """Discrepancies beside the best set, the surest first.
 
-    odds: log of those of each member beside it. shares: of smooth functions that are left, over what the members make
+    noise: of each kind of logs beside it: where something is left, with all that might be. odds: log of those of each
+    member beside it. shares: of smooth functions that are left, over what the members make
     where each of them acts: a form that stands in for another one leaves much of it.
     """
 
+    noise: tuple[NoiseFit, ...]
     left: tuple[Left, ...] = ()
     odds: Mapping[int, float] = field(default_factory=dict)
     shares: Mapping[int, float] = field(default_factory=dict)
@@ -70,19 +72,20 @@ def left_over(result: Identified, refuted: Collection[Identity] = ()) -> LeftOve
     usual, members = _usual([along for _, along in flights]), list(result.best.members)
     required = result.search.problem.thresholds.named
     every = [*_smooth(flights, usual), *_lines(result, usual)]
-    effects, winners = _race(result, members, every, all_effects=True).run(members, required, refuted)
+    first = _race(result, members, every, all_effects=True)
+    effects, winners = first.run(members, required, refuted)
     if not winners:
-        return LeftOver()
+        return LeftOver(result.noise)
     few = [replace(every[n], deviation=every[n].deviation * size) for n, size in winners.items()]
     joint, alone = _race(result, effects, few), _race(result, effects, ())
     together = joint.evidence(effects, range(len(few)))
     if together - alone.evidence(effects, ()) < required:
-        return LeftOver()
+        return LeftOver(result.noise)
     left = [_shown(joint, effects, number, flights) for number in range(len(few))]
     left.sort(key=lambda one: -one.log_odds)
     odds = {i: together - joint.evidence([n for n in effects if n != i], range(len(few))) for i in members}
     left = [one for one in left if one is left[0] or one.log_odds >= required]
-    return LeftOver(tuple(left), odds, _shares(result, left, usual))
+    return LeftOver(first.noise, tuple(left), odds, _shares(result, left, usual))
 
 
 def _shares(result: Identified, left: Sequence[Left], usual: Sequence[float]) -> dict[int, float]:
@@ -127,14 +130,15 @@ def _race(
 
     all_effects: whether others race, too.
     """
-    kinds = []
+    kinds, noises = [], []
     for problem, noise in zip(result.problems, result.noise, strict=True):
         with_them, what = problem.with_discrepancies(discrepancies), problem.what
         free = [*effects, *(what.columns[place].candidate for place in what.of_commands)]
         fitted = refit_disturbances(with_them, noise, free)
         sums = with_them.information(fitted.gain, fitted.slopes, None if all_effects else free)
         kinds.append(Kind(with_them, sums, fitted.slopes))
-    return _Race(Search(kinds, settled=False, raced=True), discrepancies)
+        noises.append(fitted)
+    return _Race(Search(kinds, settled=False, raced=True), discrepancies, tuple(noises))
 
 
 def _usual(flights: Sequence[Along]) -> list[float]:
@@ -164,10 +168,13 @@ def _lines(result: Identified, usual: Sequence[float]) -> list[Discrepancy]:
 
 
 class _Race:
-    """Effects and discrepancies by all of the likelihood. every: discrepancies, whose columns are the last ones."""
+    """Effects and discrepancies by all of the likelihood.
 
-    def __init__(self, search: Search, every: Sequence[Discrepancy]) -> None:
-        self._search, self.every = search, every
+    every: discrepancies, whose columns are the last ones. noise: with all of them free, of each kind of logs.
+    """
+
+    def __init__(self, search: Search, every: Sequence[Discrepancy], noise: tuple[NoiseFit, ...]) -> None:
+        self._search, self.every, self.noise = search, every, noise
         ends = (search.of_effects + np.cumsum([0, *(len(one) for one in every)])).tolist()
         self._columns = [list(range(begin, end)) for begin, end in itertools.pairwise(ends)]
 

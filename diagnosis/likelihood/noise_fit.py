@@ -39,12 +39,14 @@ FIRST_DAMPING, MAX_DAMPING = 0.1, 1e6  # of the information
 class NoiseFit:
     """A structure's best values.
 
-    values: by name. log_likelihood: with the priors, of the part that was fitted. rows: of it.
+    values: by name. deviations: of their logarithms.
+    log_likelihood: with the priors, of the part that was fitted. rows: of it.
     """
 
     structure: str
     composition: Composition
     values: Mapping[str, float]
+    deviations: Mapping[str, float]
     log_likelihood: float
     rows: int
     gain: Gain
@@ -234,9 +236,9 @@ class Fitter:
         self.logs = logs
         values = dict(zip(self.names, np.exp(logs).tolist(), strict=True))
         rows = sum(len(self.problem.flights[p]) - d.first for p, d in zip(self.places, self.data, strict=True))
-        return NoiseFit(
-            self.structure, self.composition, values, best, rows, gain, self.noise_slopes(gain, logs), taken
-        )
+        deviations = dict(zip(self.names, np.sqrt(np.diag(np.linalg.inv(fisher))).tolist(), strict=True))
+        noise = self.noise_slopes(gain, logs)
+        return NoiseFit(self.structure, self.composition, values, deviations, best, rows, gain, noise, taken)
 
     def _step(self, logs: Floats, gradient: Floats, fisher: Floats, damping: float) -> Floats:
         """A damped step; parameters at a bound that would leave it are held."""

@@ -1,5 +1,6 @@
 """Errors that every log has: the standard deviations of nuisances before any flight."""
 
+from diagnosis.noise.component import LogNormal
 from dynamics.effects import gyro_bias, imu_bias, time_delay
 
 GYRO = gyro_bias.SENSOR_PRIOR  # rad/s
@@ -19,3 +20,7 @@ FUNCTIONS = {  # what that may be a function of: fineness of one over the quanti
     "place": (3.0, 20),
     "time": (1.0, 8),
 }
+GUST = LogNormal(0.5, 1.2)  # m/s: from a draught to a storm
+SLOW = LogNormal(0.7, 0.55)  # of still air's slow force sideways, over the fast one: in 30 sets of flights
+DRIFT = LogNormal(0.1, 0.7)  # m/s: velocity that an estimator lets drift for seconds
+UNFITTED = LogNormal(0.3, 1.0)  # share of a function that is left beyond what is found of it

@@ -53,16 +53,6 @@ class PoseErrors:
         density[channels.ATTITUDE_RATE] += squared * tilt
         return np.asarray(density)
 
-    def as_gust(self, corner: float) -> float:
-        """Intensity, m/s, of a gust with this corner, Hz, that is as dense as the velocity's error at low frequencies.
-
-        There both are greatest, and the likelihood of a gust depends on little else.
-        """
-        limits = self.thresholds
-        of_error = _shape(np.zeros(1), limits.velocity_time, limits.smooth_time)[0]
-        of_gust = 1 / (np.pi * corner)  # two-sided, of a first-order spectrum with unit variance
-        return float(self.velocity * np.sqrt(of_error / of_gust))
-
 
 NO_ERRORS = PoseErrors(None)
 

@@ -2,7 +2,7 @@
 
 Every flight has its own clock offset, gyro's bias and accelerometer's bias, with the sensors' specification as their
 prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a fault
-of a sensor is what all flights share beyond them. So is a gust of a given strength (`Regression.in_gust`).
+of a sensor is what all flights share beyond them.
 
 Where only commands were logged, the gain and the curve from command to thrust are unknowns that all flights share. They
 are marginalised in every solution, so that drag, mass and inertia compete with them on equal terms.
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from diagnosis.data.segment import Segment
 from diagnosis.data.workspace import Workspace
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
-from diagnosis.selection.air_motion import Waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix
 from diagnosis.selection.noise import NoiseModel
@@ -33,33 +32,16 @@ from dynamics.vehicle import Vehicle
 
 @dataclass(frozen=True, eq=False)
 class FlightEquations:
-    """One flight's normal equations in still air, its biases among the columns, and its waves of random air motion.
+    """One flight's normal equations, its biases among the columns.
 
     gram, product: (k, k) and (k,) with errors-in-variables correction.
     plain_gram, plain_product: without.
-    spectra: waves with each corner of a gust's spectrum, the usual one first; none where no wind is regressed.
     """
 
     gram: Floats
     product: Floats
     plain_gram: Floats
     plain_product: Floats
-    spectra: tuple[Waves, ...] = ()
-
-    def beside_gust(
-        self, variance: float | Floats, places: Sequence[int], *, corrected: bool = True, corner: int = 0
-    ) -> tuple[Floats, Floats]:
-        """(.., p, p) and (.., p) normal equations of the columns at some places beside a gust of this variance.
-
-        variance: (m/s)^2, or several, (..). corner: place of its spectrum's corner among those that are tried.
-        """
-        gram, product = (self.gram, self.product) if corrected else (self.plain_gram, self.plain_product)
-        gram, product = gram[np.ix_(places, places)], product[list(places)]
-        if not self.spectra:
-            several = np.shape(variance)
-            return np.broadcast_to(gram, (*several, *gram.shape)), np.broadcast_to(product, (*several, *product.shape))
-        less, less_product = self.spectra[corner].reduction(np.asarray(variance), list(places), corrected=corrected)
-        return gram - less, product - less_product
 
 
 @dataclass(eq=False)
@@ -83,12 +65,11 @@ class Regression:
     design: makes rows and columns of other segments.
     everything: (k,) ridge coefficients of all columns at once.
     saturated: (m, 12) residuals after all columns at once, by digest of the segments for which they were asked.
-    equations: of each flight in still air.
+    equations: of each flight.
     pose: errors of the segments' pose that are noise.
     errors: of rows (m, 12) and columns (m, 12, k) that noise added to a segment causes, a segment each.
     noisier: the segments with noise added.
     thresholds: for all that is built on this regression.
-    gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
     workspace: fits that were made on it.
     """
@@ -117,7 +98,6 @@ class Regression:
     errors: Sequence[tuple[Floats, NDArray[np.floating]]] = ()
     noisier: Sequence[Segment] = ()
     thresholds: Thresholds = DEFAULT
-    gust_variance: float = 0.0
     not_followed: tuple[str, ...] = ()
     nuisances: tuple[Candidate, ...] = ()
     shared: Biases = NO_BIASES
@@ -145,11 +125,6 @@ class Regression:
     def total(self) -> int:
         """Number of whitened residuals."""
         return sum(self.observations)
-
-    @property
-    def independent(self) -> float:
-        """How many of them count as independent."""
-        return self.thresholds.regression.independent_share * self.total
 
     def solve(self, chosen: Sequence[int], *, plain: bool = False) -> tuple[Floats, float]:
         """Coefficients of the chosen columns, and twice the log-likelihood that they gain.
@@ -207,89 +182,6 @@ class Regression:
         shared = replace(self.shared, columns=tuple(range(count, len(every))))
         gram, product = marginal(*self._sums(every, weights, plain=plain), shared)
         return gram[..., :count, :count], product[..., :count]
-
-    @property
-    def feels_air(self) -> bool:
-        """Whether random air motion would show."""
-        return all(one.spectra for one in self.equations)
-
-    def in_gust(self, variance: float) -> Regression:
-        """Regression in a random air motion of this variance, (m/s)^2, which is marginalised."""
-        if variance == self.gust_variance or not self.feels_air:
-            return self
-        everywhere = range(len(self.product[0]))
-        (joint_gram, joint_product), plain = (
-            unzipped(one.beside_gust(variance, everywhere, corrected=corrected) for one in self.equations)
-            for corrected in (True, False)
-        )
-        gram, product = marginals(joint_gram, joint_product, self.biases)
-        plain_gram, plain_product = marginals(*plain, self.biases)
-        return replace(
-            self,
-            gram=gram,
-            product=product,
-            plain_gram=plain_gram,
-            plain_product=plain_product,
-            joint_gram=joint_gram,
-            joint_product=joint_product,
-            gust_variance=variance,
-        )
-
-    def gust_profile(self, chosen: Sequence[int], variances: Sequence[float], corner: int = 0) -> GustProfile:
-        """The likelihood of gusts of these variances beside the chosen columns. corner: as in `beside_gust`.
-
-        Without the correction for an estimator's error of velocity: a strong gust explains what is slow, error and
-        motion, and the correction leaves nothing of a drag's columns then, whose coefficients and gain have no limit.
-        """
-        shared = replace(self.shared, columns=tuple(range(len(chosen), len(chosen) + len(self.shared.columns))))
-        chosen, off = [*chosen, *self.shared.columns], list(self.biases.columns)
-        own = [i for i in chosen if i not in off]
-        alike = [own.index(i) if i in own else len(own) + off.index(i) for i in chosen]
-        biases = Biases(tuple(range(len(own), len(own) + len(off))), self.biases.information)
-        gains, grams, products = [], [], []
-        for one in self.equations:
-            corrected = not self.pose.there
-            gram, product = one.beside_gust(np.array(variances), [*own, *off], corner=corner, corrected=corrected)
-            free, free_product = marginal(gram, product, biases)
-            grams.append(free[np.ix_(range(len(variances)), alike, alike)])
-            products.append(free_product[:, alike])
-            gains.append(explained_by_biases(gram, product, biases))
-            if one.spectra:
-                gains[-1] = gains[-1] + one.spectra[corner].gain(np.array(variances))
-        by_flight = np.stack(gains, axis=1), np.stack(grams, axis=1), np.stack(products, axis=1)
-        return GustProfile(tuple(variances), by_flight[0], by_flight[1], by_flight[2], shared)
-
-
-@dataclass(frozen=True, eq=False)
-class GustProfile:
-    """The likelihood of gusts of some variances beside some columns, flight by flight, up to a constant.
-
-    variances: (v,) (m/s)^2.
-    gains: (v, f) twice the log-likelihood gained by the gust and the flight's biases.
-    grams, products: (v, f, p, p) and (v, f, p) normal equations of the columns.
-    shared: the last of these, which all flights share, with their prior.
-    """
-
-    variances: tuple[float, ...]
-    gains: Floats
-    grams: Floats
-    products: Floats
-    shared: Biases = NO_BIASES
-
-    def total(self, weights: Floats | None = None) -> Floats:
-        """(.., v) twice the log-likelihood, columns included. weights: (.., f) how often each flight counts."""
-        counts = np.ones(self.gains.shape[1]) if weights is None else weights
-        total = np.tensordot(counts, self.gains, axes=(-1, 1))
-        if self.products.shape[2]:
-            prior, pull = np.zeros(self.products.shape[2]), np.zeros(self.products.shape[2])
-            prior[list(self.shared.columns)], pull[list(self.shared.columns)] = (
-                self.shared.information,
-                self.shared.pull,
-            )
-            gram = np.tensordot(counts, self.grams, axes=(-1, 1)) + np.diag(prior)
-            product = np.tensordot(counts, self.products, axes=(-1, 1)) + pull
-            total = total + solved(gram, product)[1]
-        return np.asarray(total)
 
 
 def solved(gram: Floats, product: Floats) -> tuple[Floats, Floats]:

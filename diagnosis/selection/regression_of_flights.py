@@ -19,14 +19,13 @@ from diagnosis.models.command_effects import (
     with_command_effects,
 )
 from diagnosis.models.pose_errors import PoseErrors, pose_errors
-from diagnosis.selection.air_motion import Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
 from diagnosis.selection.errors_in_variables import design_errors, gyro_noise_of_its_own, noisier_segments
 from diagnosis.selection.noise import NoiseModel, estimate_noise
 from diagnosis.selection.regression import FlightEquations, Regression, marginals, unzipped
 from diagnosis.selection.sensor_errors import Biases, sensor_biases
-from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds, Thresholds
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -34,6 +33,7 @@ from dynamics.vehicle import Vehicle
 AddedErrors = tuple[
     Floats, NDArray[np.floating]
 ]  # (m, 12) and (m, 12, k) of a segment's rows and columns by added noise
+Whitened = tuple[Floats, Floats, Floats, Floats]  # columns (m, c, k), rows (m, c), and their errors by sensors' noise
 
 
 def make_regression(
@@ -53,7 +53,7 @@ def make_regression(
     errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, errors, pose, _is_lagged(design), thresholds)
-    equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
+    equations = _equations(flight_of, noise, rows, columns, errors)
     observations = [0] * len(equations)
     for flight, y in zip(flight_of, rows, strict=True):
         observations[flight] += (len(y) - noise.order) * len(noise.active)
@@ -67,7 +67,7 @@ def make_regression(
         noise=noise,
         rows=rows,
         columns=columns,
-        **_still_air(equations, biases),
+        **_marginalised(equations, biases),
         observations=observations,
         rate=segments[0].decimated_rate,
         biases=biases,
@@ -105,7 +105,7 @@ def about_fit(
         errors.append((noisier_y - y, (noisier_x - x).astype(np.float32)))
     pose = pose_errors(r.segments, design.present, thresholds.pose)
     noise, _ = _noise(r.segments, rows, columns, errors, pose, _is_lagged(design), thresholds)
-    equations = _equations(candidates, r.flight_of, noise, rows, columns, errors, r.rate, thresholds)
+    equations = _equations(r.flight_of, noise, rows, columns, errors)
     biases = flight_biases(candidates, nuisances, thresholds.command_curve)
     return replace(
         r,
@@ -116,16 +116,15 @@ def about_fit(
         rows=rows,
         columns=columns,
         errors=errors,
-        **_still_air(equations, biases),
+        **_marginalised(equations, biases),
         biases=biases,
         shared=shared_unknowns(nuisances, thresholds.command_curve),
         equations=equations,
-        gust_variance=0.0,
     )
 
 
-def _still_air(equations: Sequence[FlightEquations], biases: Biases) -> dict[str, Any]:
-    """The fields of a regression with its normal equations, without a gust."""
+def _marginalised(equations: Sequence[FlightEquations], biases: Biases) -> dict[str, Any]:
+    """The fields of a regression with its normal equations."""
     joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
     gram, product = marginals(joint_gram, joint_product, biases)
     plain = [one.plain_gram for one in equations], [one.plain_product for one in equations]
@@ -141,43 +140,32 @@ def _still_air(equations: Sequence[FlightEquations], biases: Biases) -> dict[str
 
 
 def _equations(
-    candidates: Sequence[Candidate],
     flight_of: Sequence[int],
     noise: NoiseModel,
     rows: Sequence[Floats],
     columns: Sequence[Floats],
     errors: Iterable[AddedErrors],
-    rate: float,
-    thresholds: Thresholds,
 ) -> list[FlightEquations]:
     """The normal equations of each flight. errors: of rows (m, 12) and columns (m, 12, k), a segment each."""
-    wind = next((list(c.columns) for c in candidates if c.effect.wind is not None), None)
-    flights: list[list[tuple[Whitened, Floats]]] = [[] for _ in range(max(flight_of) + 1)]
+    flights: list[list[Whitened]] = [[] for _ in range(max(flight_of) + 1)]
     for flight, y, x, (y_error, x_error) in zip(flight_of, rows, columns, errors, strict=True):
         white_errors = noise.whiten(np.asarray(x_error, dtype=float)), noise.whiten(y_error)
-        white = Whitened(noise.whiten(x), noise.whiten(y), *white_errors)
-        flights[flight].append((white, x[:, :, wind or []]))
-    return [
-        flight_equations([one for one, _ in parts], [air for _, air in parts], noise, rate, thresholds.gust)
-        for parts in flights
-    ]
+        flights[flight].append((noise.whiten(x), noise.whiten(y), *white_errors))
+    return [flight_equations(parts) for parts in flights]
 
 
-def flight_equations(
-    segments: Sequence[Whitened], wind: Sequence[Floats], noise: NoiseModel, rate: float, thresholds: GustThresholds
-) -> FlightEquations:
-    """The normal equations of one flight. wind: (m, 12, a) regressors of a steady wind, a segment each."""
-    width = segments[0].columns.shape[2]
+def flight_equations(segments: Sequence[Whitened]) -> FlightEquations:
+    """The normal equations of one flight."""
+    width = segments[0][0].shape[2]
     gram, correction = np.zeros((width, width)), np.zeros((width, width))
     product, product_correction = np.zeros(width), np.zeros(width)
-    for segment in segments:
-        x, y, x_error, y_error = segment.flat()
+    for columns, rows, column_errors, row_errors in segments:
+        x, y, x_error, y_error = columns.reshape(-1, width), rows.ravel(), column_errors.reshape(-1, width), row_errors
         gram += x.T @ x
         product += x.T @ y
         correction += x_error.T @ x_error
-        product_correction += x_error.T @ y_error
-    waves = make_waves(segments, wind, noise, rate, thresholds) if wind[0].shape[2] else ()
-    return FlightEquations(gram - correction, product - product_correction, gram, product, waves)
+        product_correction += x_error.T @ y_error.ravel()
+    return FlightEquations(gram - correction, product - product_correction, gram, product)
 
 
 def _noise(

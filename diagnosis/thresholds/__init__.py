@@ -37,11 +37,7 @@ from diagnosis.thresholds.readings import (
     RotorMomentChecks,
     SegmentThresholds,
 )
-from diagnosis.thresholds.searching import (
-    GustThresholds,
-    RegressionThresholds,
-    SearchThresholds,
-)
+from diagnosis.thresholds.searching import RegressionThresholds
 
 
 class Thresholds(ThresholdGroup, frozen=True):
@@ -58,8 +54,6 @@ class Thresholds(ThresholdGroup, frozen=True):
     noise: NoiseThresholds = NoiseThresholds()
     pose: PoseThresholds = PoseThresholds()
     regression: RegressionThresholds = RegressionThresholds()
-    search: SearchThresholds = SearchThresholds()
-    gust: GustThresholds = GustThresholds()
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
@@ -83,7 +77,6 @@ __all__ = [
     "DatasetThresholds",
     "EquationErrorThresholds",
     "FilterThresholds",
-    "GustThresholds",
     "HoverTrimThresholds",
     "InFlightThresholds",
     "LikelihoodThresholds",
@@ -95,7 +88,6 @@ __all__ = [
     "RelevanceThresholds",
     "RotorHoldThresholds",
     "RotorMomentChecks",
-    "SearchThresholds",
     "SegmentThresholds",
     "ThresholdGroup",
     "Thresholds",

@@ -10,14 +10,11 @@ from diagnosis.thresholds.group import Count, Factor, Positive, Score, Share, Sh
 
 
 class VerdictThresholds(ThresholdGroup, frozen=True):
-    """How a gust and a gain of commands are reported.
+    """How a gain of commands is reported.
 
-    max_gust_predictable: share of a gust's power that a force which is a function of state, place or time, or a line,
-    may have. [decisions: air in motion is no function of the state]
     resamples: of flights, for the confidence. [margins: neither]
     """
 
-    max_gust_predictable: Share = 0.35
     resamples: Count = 40
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diagnosis.thresholds.group import Count, Positive, Share, ThresholdGroup
+from diagnosis.thresholds.group import Count, Positive, Range, Share, ThresholdGroup
 
 
 class LikelihoodThresholds(ThresholdGroup, frozen=True):
@@ -32,6 +32,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     line_turns: of a line in the longest flight, below which it is a change with time. [definition]
     line_highest: frequency of a line over the rows' rate. [definition: below half]
     line_surroundings: frequencies that a flight tells apart, over whose median power a line is. [convention]
+    amplitude: range of the size of a lag whose shape is fixed, over that at which it was tried. [definition: near 1]
     max_effects: in one set. [convention]
     bound_slack: of a value of the file's own effects, in its stated deviations, by which noise may carry it over a
         bound, where it then stays. [convention: 95 %]
@@ -58,6 +59,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     line_turns: Positive = 3.0
     line_highest: Share = 0.4
     line_surroundings: Count = 30
+    amplitude: Range = (0.4, 1.9)
     max_effects: Count = 10
     bound_slack: Positive = 2.0
     min_improvement: Positive = 0.5

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diagnosis.data.segment import Segment
-from diagnosis.selection.air_motion import Whitened
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression, marginal
@@ -59,15 +58,8 @@ def regression(
 ) -> Regression:
     """A regression of rows (m, 12) on columns (m, 12, k), a flight each, under white noise of unit size."""
     noise = white()
-    wind = [i for c in candidates if c.effect.wind is not None for i in c.columns]
     flights = [
-        flight_equations(
-            [Whitened(noise.whiten(x), noise.whiten(y), np.zeros_like(x), np.zeros_like(y))],
-            [x[:, :, wind]],
-            noise,
-            RATE,
-            thresholds.gust,
-        )
+        flight_equations([(noise.whiten(x), noise.whiten(y), np.zeros_like(x), np.zeros_like(y))])
         for x, y in zip(columns, rows, strict=True)
     ]
     free = [marginal(one.gram, one.product, biases) for one in flights]

@@ -69,9 +69,9 @@ def test_no_numeric_constant_of_a_module_is_outside():
 
 def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
     file = tmp_path / "fleet.toml"
-    file.write_text("[search]\nmin_gain = 60\n[data_checks]\nthrust_ratio = [0.5, 2.0]\n")
+    file.write_text("[likelihood]\nnamed = 4\n[data_checks]\nthrust_ratio = [0.5, 2.0]\n")
     read = read_thresholds(file)
-    assert read.search.min_gain == 60.0
+    assert read.likelihood.named == 4.0
     assert read.data_checks.thrust_ratio == (0.5, 2.0)
     assert read.noise == DEFAULT.noise
     file.write_text("")
@@ -81,19 +81,19 @@ def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("[search]\nmin_gian = 60", "unknown key 'min_gian' in \\[search\\]"),
-        ("[serach]\nmin_gain = 60", "unknown key 'serach'"),
-        ("[search]\nmin_gust_share = 1.5", "search.min_gust_share must be a number at most 1.0"),
+        ("[likelihood]\nnamde = 4", "unknown key 'namde' in \\[likelihood\\]"),
+        ("[likelyhood]\nnamed = 4", "unknown key 'likelyhood'"),
+        ("[likelihood]\nform = 1.5", "likelihood.form must be a number at most 1.0"),
         ("[filters]\ncutoff = 0", "filters.cutoff must be a number above 0.0"),
         ("[filters]\nrate = 12", "filters: .* below half the rate 6 Hz"),
         ("[regimes]\nbins = 1", "regimes.bins must be a whole number at least 2"),
-        ("[search]\namplitude = [1.9, 0.4]", "the first must be below the second"),
+        ("[likelihood]\namplitude = [1.9, 0.4]", "the first must be below the second"),
         ("[regimes]\nquantiles = [0.01, 1.99]", "quantiles\\[1\\] must be a number at most 1.0"),
         (
             "[command_curve]\ncommand_percentiles = [1.0, 199.0]",
             "percentiles\\[1\\] must be a number at most 100.0",
         ),
-        ("[search]\nmin_gain = 'high'", "search.min_gain holds a text; wanted is a number"),
+        ("[likelihood]\nnamed = 'high'", "likelihood.named holds a text; wanted is a number"),
         ("[search", "cannot use the thresholds"),
     ],
 )

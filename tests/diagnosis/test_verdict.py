@@ -9,27 +9,21 @@ import pytest
 from diagnosis.addition import notes_of_set
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.estimation.refusal import Reason, Refused, reason_of
+from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.likelihood.features import Discrepancy, Line, Smooth
 from diagnosis.likelihood.left_over import Left
-from diagnosis.models.channels import ANGULAR_ACCELERATION
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
-from diagnosis.selection.gust import AirMotion, Gust
-from diagnosis.thresholds import DEFAULT
 from diagnosis.tried import Tried
 from diagnosis.verdict import (
     channel_errors,
     considered,
-    gust_refusal,
     judge,
 )
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from tests.diagnosis.conftest import with_columns
-from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted
 
-NO_GUST = Gust(0.0, 0.0, 0.0)
-LIMITS = DEFAULT.verdict
 ALONE = MissingEffect("a", None, {}, 1.0, ())
 AMBIGUOUS = MissingEffect("a", None, {}, 1.0, ("b",))
 
@@ -46,69 +40,6 @@ def left(kind, rms, channel=0, frequency=0.5):
 def test_what_is_left_makes_it_unknown_and_nothing_leaves_it_to_the_effects(effects, expected):
     assert judge(effects, ()) == expected
     assert judge(effects, [left("state", 0.1)]) == "unknown"
-
-
-@pytest.fixture
-def in_air(arpl_250g):
-    """A regression in which air of 1 m/s pushes by 2 m/s^2 along each of two axes, and such air of 0.5 m/s."""
-    random = np.random.default_rng(0)
-    slopes = np.zeros((80, CHANNELS, 2))
-    slopes[:, 0, 0] = slopes[:, 1, 1] = 2.0
-    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
-    air = Gust(1e3, 1e3, 0.5, 1e-3, 1.0, effect=CATALOGUE["gust"])
-    return regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows), AirMotion(air, air, True)
-
-
-@pytest.mark.parametrize(("kind", "words"), [
-    ("state", "no function of the state"), ("velocity", "no function of the velocity"),
-    ("place", "no function of the place"), ("time", "no function of the time"),
-    ("line", "no line in its spectrum, but one has"),
-])  # fmt: skip
-def test_what_state_place_time_or_a_line_has_is_no_gust(in_air, kind, words):
-    of_all, selection = in_air
-    share = LIMITS.max_gust_predictable * 2.0  # its power, (m/s^2)^2
-    assert gust_refusal(of_all, selection, [left(kind, np.sqrt(0.9 * share))]) is None
-    assert gust_refusal(of_all, selection, [left(kind, 9.0, channel=4)]) is None  # a torque is no air
-    assert gust_refusal(of_all, selection, [left("line", 9.0, frequency=33.0)]) is None  # nor has it a hum
-    answer = gust_refusal(of_all, selection, [left(kind, np.sqrt(0.6 * share))] * 2)
-    assert answer is not None
-    assert (answer.reason, answer.where, answer.parameters) == ("predictable", kind, {"intensity": 0.5})
-    assert answer.detail["share"] == pytest.approx(1.2 * LIMITS.max_gust_predictable)
-    assert words in reason_of(answer)
-    calm = AirMotion(selection.gust, selection.gust, False)
-    assert gust_refusal(of_all, calm, [left(kind, 9.0)]) is None
-
-
-def test_air_that_moves_nothing_by_what_matters_is_no_gust(arpl_250g):
-    """An estimate's noise is air of a centimetre a second to a vehicle with much drag, surely and on every flight."""
-    random, name = np.random.default_rng(0), CATALOGUE["gust"].parameters[0].name
-    slopes = np.zeros((80, CHANNELS, 2))
-    slopes[:, 0, 0], slopes[:, 1, 1] = 2.0, 1.0
-    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
-    of_all = regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows)
-    required = np.sqrt((1 + DEFAULT.relevance.min_rise) ** 2 - 1) / 2.0  # m/s: by twice as much the first axis moves
-    for intensity, refused in ((0.9 * required, True), (1.1 * required, False)):
-        air = Gust(1e3, 1e3, intensity, 1e-3 * intensity, 1.0, effect=CATALOGUE["gust"])
-        answer = gust_refusal(of_all, AirMotion(air, air, True), ())
-        assert (answer is not None) == refused
-        if answer is not None:
-            assert (answer.reason, answer.where, answer.parameters) == ("too_small", "imu", {name: intensity})
-            assert answer.detail == pytest.approx({"signal": 2.0 * intensity, "floor": 1.0})
-            assert "moves accelerometer by" in reason_of(answer)
-
-
-def test_air_that_turns_the_vehicle_and_hardly_pushes_it_is_no_gust(arpl_250g):
-    """With flapping in the file turbulence of the rotors was 0.06 m/s of air, by all resamples."""
-    random = np.random.default_rng(1)
-    slopes = np.zeros((80, CHANNELS, 2))
-    slopes[:, ANGULAR_ACCELERATION.start, 0] = slopes[:, ANGULAR_ACCELERATION.start + 1, 1] = 4.0
-    slopes[:, 0, 0], slopes[:, 1, 1] = 0.4, 0.4
-    rows = [random.standard_normal((80, CHANNELS)) for _ in range(6)]
-    of_all = regression(arpl_250g, [candidate(CATALOGUE["wind"], 0, 1)], [slopes] * 6, rows)
-    air = Gust(1e3, 1e3, 0.1, 1e-4, 1.0, effect=CATALOGUE["gust"])
-    answer = gust_refusal(of_all, AirMotion(air, air, True), ())
-    assert answer is not None
-    assert (answer.reason, answer.where) == ("too_small", "imu")
 
 
 def test_channel_errors_are_norms_over_the_three_axes(arpl_250g):

@@ -6,7 +6,6 @@ import pytest
 from diagnosis.addition import Addition, add_effect
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse, Vehicle
@@ -85,8 +84,7 @@ def test_what_no_effect_explains_never_leads_to_a_worse_model(plain, arpl_250g):
 
 
 def test_what_is_too_small_to_matter_is_listed_and_not_named(plain, arpl_250g):
-    eager = msgspec.structs.replace(DEFAULT, search=msgspec.structs.replace(DEFAULT.search, min_gain=5.0))
-    diagnosis = diagnose_dataset(plain, wrong(arpl_250g, inertia=0.996), SOME, eager).diagnosis
+    diagnosis = diagnose_dataset(plain, wrong(arpl_250g, inertia=0.996), SOME).diagnosis
     assert diagnosis.verdict == "explained"
     assert diagnosis.effects == ()
     refused = next(r for r in diagnosis.refused if r.name == "inertia")

@@ -63,7 +63,6 @@ def test_a_force_outside_the_catalogue_is_unknown_and_nothing_is_named(diagnosed
     diagnosis = diagnosed[name]
     assert diagnosis.verdict == "unknown"
     assert diagnosis.effects == ()
-    assert ("gust", "predictable") in [(one.name, one.reason) for one in diagnosis.refused]
     assert "predictable_from_state" in [one.test for one in diagnosis.leftover]
 
 

@@ -49,7 +49,7 @@ def test_the_values_are_those_that_were_hidden(answer, use):
         assert fitted.value == pytest.approx(value, abs=max(0.05 * abs(value), 2.5 * fitted.std))
 
 
-def test_the_gusts_strength_has_an_interval_and_a_share_of_resamples(answer):
+def test_the_gusts_strength_has_an_interval_and_a_probability(answer):
     (gust,) = (effect for effect in answer.diagnosis.effects if effect.name == "gust")
     assert 0.005 < gust.parameters["intensity"].std < 0.1
     assert gust.confidence >= 0.5
@@ -63,4 +63,3 @@ def test_the_gusts_strength_is_that_which_blew(answer):
 def test_the_regression_is_about_the_fit_and_keeps_the_users_vehicle(answer, arpl_250g):
     assert answer.regression.vehicle == arpl_250g
     assert any(candidate.fitted is not None for candidate in answer.regression.candidates)
-    assert answer.regression.gust_variance == answer.selection.gust_variance > 0
