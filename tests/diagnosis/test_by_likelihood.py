@@ -139,7 +139,7 @@ def test_an_effect_that_is_taken_back_leaves_nothing_of_its_values():
 def test_an_effect_must_be_likely_and_of_its_own_form_beside_what_is_left(odds, share, reason):
     dataset, _, answer = twice_the_drag()
     (named,) = answer.named
-    left = LeftOver((), {named.number: odds}, {named.number: share})
+    left = LeftOver((), (), {named.number: odds}, {named.number: share})
     rest = answer_beside(answer, left, answer.regression, dataset)
     assert [one.candidate.identity for one in rest.named] == ([] if reason else [named.candidate.identity])
     assert [one.reason for one in rest.accepted.refused] == ([reason] if reason else [])
