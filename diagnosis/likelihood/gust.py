@@ -136,7 +136,7 @@ def _slow_force(problem: Problem, noise: NoiseFit, steady: Candidate, left: Sequ
 
 
 def _other(drag: float, left: Sequence[Left]) -> LogNormal | None:
-    """What else pushes sideways for seconds. drag: that feels an estimator's velocity, 1/s."""
+    """Other things that push sideways for seconds. drag: that feels an estimator's velocity, 1/s."""
     functions = [one for one in left if one.channel < 2 and one.discrepancy.of.kind != "line"]
     of_functions = priors.UNFITTED.median * float(np.sqrt(sum(one.rms**2 for one in functions)))
     size = float(np.hypot(priors.DRIFT.median * drag, of_functions))
