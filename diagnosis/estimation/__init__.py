@@ -1,1 +1,1 @@
-"""Parameters of chosen effects: equation error, output error, acceptance by errors on held-out flights."""
+"""Parameters of chosen effects: equation error, acceptance by errors on held-out flights."""

@@ -339,15 +339,13 @@ def _slopes(
     slopes = {}
     if named:
         slopes = dict(zip(named, model.parameter_slopes(rows, along, named, path).transpose(1, 0, 2), strict=True))
-    moving = [name for name in free if name not in slopes or hidden.depends_on(name)]
-    here = model.outputs(rows, along, path) if moving else path
-    for name in moving:
-        if name.split(".")[0] not in lost:
-            slopes[name] = model.hidden_slope(rows, along, driving, starts, name, here)
-    for name in free:
-        if name.split(".")[0] in lost:
-            slopes[name] = np.zeros_like(here)
-    return [slopes[name] for name in free]
+    followed = [name for name in free if name.split(".")[0] not in lost]
+    moving = [name for name in followed if name not in slopes or hidden.depends_on(name)]
+    if moving:
+        here = model.outputs(rows, along, path)
+        slopes |= {name: model.hidden_slope(rows, along, driving, starts, name, here) for name in moving}
+    none = np.zeros((len(rows), SPEEDS + along.speed.shape[1] + 1))
+    return [slopes[name] if name in followed else none for name in free]
 
 
 def over_rows(rows: FlightRows, acting: Floats, readings: Floats) -> tuple[Floats, Floats]:

@@ -123,9 +123,9 @@ def _slow_force(problem: Problem, noise: NoiseFit, steady: Candidate, left: Sequ
     for place in range(min(FEW, len(problem.flights))):
         rows, along = problem.flights[place], problem.along(place)
         path = model.hidden_path(rows, model.driving(rows, along.reference), problem.starts.get(place, {}))
-        by_air = model.parameter_slopes(rows, along, [f"{name}.{axis}" for axis in "xy"], path)
+        by_air = model.parameter_slopes(rows, along, [f"{name}.{each}" for each in steady.free], path)
         slopes.append(by_air[:, :, OUTPUTS["force"]][:, :, :2])
-    slope = float(np.sqrt(np.mean(np.sum(np.concatenate(slopes) ** 2, axis=(1, 2))) / 2))
+    slope = float(np.sqrt(np.mean(np.sum(np.concatenate(slopes) ** 2, axis=(1, 2))) / len(steady.free)))
     return SlowForce(
         level=noise.values[SLOW] / mass,
         std=noise.deviations[SLOW],

@@ -18,7 +18,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     converged: gain of the log-likelihood by a step that ends them. [formula: far below one]
     ridge: prior of all candidates while noise is fitted, of their own information. [formula: rounding]
     rounds: of search, each linear about the last one's answer. [cost]
-    settled_rounds: after which the noise's values are among the nuisances. [definition: near the optimum]
+    settled_rounds: after which, or where nothing moves, the noise is fitted again beside the set, and its values are
+        among the nuisances. [definition: near the optimum]
     near: largest step of a value in the round before, in its deviations, with which they are. [definition: what a
         model that is farther off leaves is taken for noise, and the slopes in the noise for slopes of the model]
     settled_step: of a value in its deviations, at which rounds end. [definition: well below its deviation]

@@ -118,3 +118,18 @@ def test_a_load_is_named_with_its_mass_and_length():
     off = np.array([values["mass"] - mass, values["length"] - length])
     assert np.all(np.abs(off) < 4 * deviations(result.search, result.best))
     assert abs(values["length"] - length) < 0.02 * length
+
+
+@pytest.mark.parametrize("effect", ["slung_load", "mass"])
+def test_an_effect_whose_states_cannot_be_followed_along_a_flight_has_no_slope_there(effect, monkeypatch):
+    problem = problem_of("nothing", "speeds", 90002, 1)
+    number = next(i for i, c in enumerate(problem.what.all) if c.effect.name == effect)
+    along = problem.along(0)
+    problem.inputs(0, along, [number])  # where it begins is sought once
+    monkeypatch.setattr(
+        FlightModel, "hidden_path", lambda self, rows, *_: np.full((len(rows), self.hidden.count), np.nan)
+    )
+    own = problem.inputs(0, along, [number])
+    shown = own.B[:, :, own.places(problem.what.places(number))]
+    assert np.isfinite(shown).all()
+    assert np.any(shown) == (effect == "mass")
