@@ -7,8 +7,9 @@ level f, r f slow, a slope k of specific force in the air's velocity, and e of t
 
     slow^2 = (r f)^2 + e^2 + (w k)^2
 
-where the noise's fit has both levels and their deviations. The odds of a gust are those of all w against none, all else
-integrated out with its prior.
+where the noise's fit has both levels and their deviations. That of the fast one is of its variance: of a small level
+beneath a large one the readings tell how large it is at most, and not how small. The odds of a gust are those of all w
+against none, all else integrated out with its prior.
 """
 
 from __future__ import annotations
@@ -56,13 +57,14 @@ class Gust:
 class SlowForce:
     """The slow force sideways in some flights, over the mass.
 
-    level: m/s^2; std of its logarithm. fast: the same turbulence's fast one, m/s^2, as the fit has it.
+    level, fast: m/s^2, of it and of the same turbulence's fast one. std, fast_std: of their logarithms, as fitted.
     slope: of specific force in the air's velocity, 1/s. other: m/s^2, what else pushes so; None where nothing does.
     """
 
     level: float
     std: float
-    fast: LogNormal
+    fast: float
+    fast_std: float
     slope: float
     other: LogNormal | None = None
 
@@ -85,7 +87,7 @@ def gust_in(problems: Sequence[Problem], left: LeftOver) -> Gust | None:
 
 def gust_of(effect: Effect, forces: Sequence[SlowForce]) -> Gust:
     """One gust in all of some flights."""
-    values, weight = _nodes(priors.GUST)
+    values, weight = _nodes(priors.GUST, 4 * FINE)
     density = np.sum([_log_density(force, values) for force in forces], axis=0)
     still = sum(float(_log_density(force, np.zeros(1))[0]) for force in forces)
     posterior = weight * np.exp(density - density.max())
@@ -97,19 +99,21 @@ def gust_of(effect: Effect, forces: Sequence[SlowForce]) -> Gust:
 
 def _log_density(force: SlowForce, intensity: Floats) -> Floats:
     """(w,) log of the density of a slow force's level in gusts of (w,) intensities, m/s."""
-    spread = float(np.hypot(priors.SLOW.spread, force.fast.spread))
-    still, of_still = _nodes(LogNormal(priors.SLOW.median * force.fast.median, spread))
-    other, of_other = _nodes(force.other)
-    squares = still[:, None] ** 2 + other**2 + (intensity[:, None, None] * force.slope) ** 2
-    density = np.exp(-((np.log(squares) / 2 - np.log(force.level)) ** 2) / (2 * force.std**2))
-    return np.asarray(np.log(np.maximum(density @ of_other @ of_still, np.finfo(float).tiny)))
+    (ratio, of_ratio), (other, of_other) = _nodes(priors.SLOW, FINE), _nodes(force.other, FINE // 3)
+    fast = np.linspace(0, 1 + 6 * 2 * force.fast_std, FINE)[1:]  # variance over the fit's
+    of_fast = np.exp(-(((fast - 1) / (2 * force.fast_std)) ** 2) / 2)
+    still = (force.fast * ratio[:, None]) ** 2 * fast
+    squares = still[:, :, None] + other**2 + (intensity[:, None, None, None] * force.slope) ** 2
+    density = np.exp(-((np.log(squares / force.level**2) / (2 * force.std)) ** 2) / 2) @ of_other
+    total = density @ (of_fast / of_fast.sum()) @ of_ratio
+    return np.asarray(np.log(np.maximum(total, np.finfo(float).tiny)))
 
 
-def _nodes(prior: LogNormal | None) -> tuple[Floats, Floats]:
+def _nodes(prior: LogNormal | None, count: int) -> tuple[Floats, Floats]:
     """Values and their prior's weights; nothing without one."""
     if prior is None:
         return np.zeros(1), np.ones(1)
-    off = np.linspace(-6, 6, FINE)
+    off = np.linspace(-6, 6, count)
     weight = np.exp(-(off**2) / 2)
     return prior.median * np.exp(off * prior.spread), weight / weight.sum()
 
@@ -129,7 +133,8 @@ def _slow_force(problem: Problem, noise: NoiseFit, steady: Candidate, left: Sequ
     return SlowForce(
         level=noise.values[SLOW] / mass,
         std=noise.deviations[SLOW],
-        fast=LogNormal(noise.values[FAST] / mass, noise.deviations[FAST]),
+        fast=noise.values[FAST] / mass,
+        fast_std=noise.deviations[FAST],
         slope=slope,
         other=_other(slope if problem.flights[0].segment.pose_source == "estimator" else 0.0, left),
     )

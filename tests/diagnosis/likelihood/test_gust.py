@@ -15,8 +15,8 @@ EFFECT = CATALOGUE["gust"]
 NAMED = 3.0
 
 
-def slow(level, fast, other=None, slope=0.3):
-    return SlowForce(level, 0.15, LogNormal(fast, 0.15), slope, other)
+def slow(level, fast, other=None, slope=0.3, fast_std=0.15):
+    return SlowForce(level, 0.15, fast, fast_std, slope, other)
 
 
 def test_the_harder_it_pushes_the_surer_it_is_with_the_intensity_that_drag_makes_of_it():
@@ -41,6 +41,13 @@ def test_what_an_estimator_lets_drift_or_a_function_leaves_is_none():
     assert gust_of(EFFECT, [slow(0.34, 0.01, drift, slope=1.2)]).log_odds < NAMED
     assert gust_of(EFFECT, [slow(3.4, 0.01, drift, slope=1.2)]).log_odds > NAMED  # more than any drifts
     assert gust_of(EFFECT, [slow(0.07, 0.004, LogNormal(0.3 * 0.2, 1.0))]).log_odds < NAMED
+
+
+def test_a_fast_force_of_which_only_its_largest_size_is_known_hides_no_gust():
+    """Beneath a gust the fast level's logarithm has a deviation of more than one."""
+    sure, unsure = (gust_of(EFFECT, [slow(0.1, 0.01, fast_std=std)]) for std in (0.15, 1.4))
+    assert NAMED < unsure.log_odds < sure.log_odds
+    assert gust_of(EFFECT, [slow(0.02, 0.01, fast_std=1.4)]).log_odds < NAMED
 
 
 def test_flights_of_two_kinds_of_logs_tell_one_gust_more_surely():
