@@ -81,11 +81,12 @@ def fit_delay(
     if band[1] < MIN_BAND_RATIO * band[0]:
         return None  # logged too slowly for a comparison
     comparable = usable & np.isfinite(np.hstack([answer, drive, undelayed])).all(axis=1)
-    segments = [
+    every = [
         _Segment.of([part[start:stop] for part in (answer, drive, undelayed)], rate, band, paired=paired, lagged=lagged)
         for start, stop in filters.runs(comparable)
         if (stop - start) / rate >= 2 * EDGE + BLOCK
     ]
+    segments = [segment for segment in every if len(segment.blocks)]  # rows that are thinned may fall short of one
     count = sum(len(segment.blocks) for segment in segments)
     if count < MIN_BLOCKS:
         return None

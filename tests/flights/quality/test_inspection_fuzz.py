@@ -62,6 +62,7 @@ def damaged(stream: Stream, damage: str, seed: int) -> Stream | None:
 )
 @example(damages={"specific_force": "huge", "position": "shift"}, seed=0, rows=5)  # an impact without any height
 @example(damages={"rate": "zero"}, seed=0, rows=700)  # a ratio to a size of zero
+@example(damages={"position": "drop", "velocity": "gap"}, seed=419, rows=2000)  # a piece shorter than a block
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_damage_is_judged_or_refused_by_name(damages: dict[str, str], seed: int, rows: int) -> None:
     streams: list[Stream] = []
