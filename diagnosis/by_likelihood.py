@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,8 +25,10 @@ from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import Candidate, Identity
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import about_fit
+from diagnosis.thresholds import LikelihoodThresholds
 from diagnosis.verdict import parameters_of
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
 from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
 from dynamics.vehicle import Vehicle
@@ -74,7 +76,7 @@ class LikelihoodAnswer:
     @property
     def vehicle_without(self) -> Vehicle:
         """The vehicle without the named effects, its commands as they fit best then."""
-        return likelihood_fit(self.search, self.regression, ()).vehicle
+        return fit_of(self.search, ()).vehicle
 
     def without(self, refused: Sequence[Refused], dataset: Dataset) -> LikelihoodAnswer:
         """The answer without effects that are refused afterwards."""
@@ -187,9 +189,15 @@ def _about_values(own: Sequence[Candidate], chosen: Sequence[Candidate], fitted:
 
 
 def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Problem]:
-    """The fitted flights of each kind of logs as its filter has them."""
-    vehicle, catalogue = with_command_effects(regression.vehicle, regression.catalogue, dataset.fitted)
-    limits = regression.thresholds.likelihood
+    """`problems_of` the fitted flights, about a regression's vehicle."""
+    return problems_of(dataset, regression.vehicle, regression.catalogue, regression.thresholds.likelihood)
+
+
+def problems_of(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], limits: LikelihoodThresholds
+) -> list[Problem]:
+    """The fitted flights of each kind of logs as its filter has them, and what may be missing in a vehicle."""
+    vehicle, catalogue = with_command_effects(vehicle, catalogue, dataset.fitted)
     every = candidates(vehicle, catalogue, dataset.fitted)
     return [
         Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)
@@ -198,9 +206,15 @@ def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Proble
 
 
 def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:
-    """Values of the named effects and of what lies between command and thrust beside them, by all of the likelihood;
-    their covariance by the share of it that counts as evidence: what makes an effect sure makes its value."""
-    what, scored = search.what, search.score([one.number for one in named])
+    """Values of the named effects, which are a regression's candidates."""
+    fitted = fit_of(search, [one.number for one in named])
+    return replace(fitted, candidates=_in_regression(regression, named, None), nuisances=regression.nuisances)
+
+
+def fit_of(search: Search, members: Sequence[int]) -> Fit:
+    """Values of a set and of what lies between command and thrust beside it, by all of the likelihood; their
+    covariance by the share of it that counts as evidence: what makes an effect sure makes its value."""
+    what, scored = search.what, search.score(members)
     values, commands = search.named_values(scored), command_values(search, scored)
     places, count = search.places(scored), len(what.of_commands)
     prior = np.concatenate([search.std[places] ** -2.0, np.zeros(count)])
@@ -210,16 +224,16 @@ def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named
     covariance = covariance * scatter * scatter[:, None]
     estimates = _estimates(search, values, covariance)
     of_commands = _estimates(search, commands, covariance[len(places) :, len(places) :])
-    chosen = _in_regression(regression, named, None)
+    chosen, nuisances = (tuple(what.all[i] for i in numbers) for numbers in (values, commands))
     full = {f"{what.all[i].key}.{name}": v for i in values for name, v in {**what.all[i].at, **values[i]}.items()}
     full |= {f"{key}.{name}": one.value for (key, name), one in of_commands.items()}
     return Fit(
-        vehicle=with_candidates(regression.vehicle, (*chosen, *regression.nuisances), full),
+        vehicle=with_candidates(search.problem.vehicle, (*chosen, *nuisances), full),
         estimates=estimates,
         candidates=chosen,
         covariance=covariance,
         information=search.total.information(places, count),
-        nuisances=regression.nuisances,
+        nuisances=nuisances,
         commands=of_commands,
     )
 

@@ -2,9 +2,9 @@
 
 Everything is relative to the mass, which flights cannot show: the rotors carry the weight in hover, and forces and
 moments scale with it. Torque constant and yaw inertia show as their ratio, and apart only where the vehicle turns about
-several axes at once: there (J_z - J_y) omega_y omega_z is a moment about x. A regression corrects the vehicle until it
-changes it no more, with the drags that fast flight has beside the constants; values and intervals are those of the
-likelihood about that, as `alula diagnose` has them.
+several axes at once: there (J_z - J_y) omega_y omega_z is a moment about x. The likelihood fits them beside the drag
+and the damping that fast flight has, as `alula diagnose` does. The vehicle is corrected by its values, and the logs are
+read again, until these change no more.
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ import numpy as np
 import scipy
 from scipy.special import ndtri
 
-from diagnosis.by_likelihood import likelihood_fit, likelihood_problems
+from diagnosis.by_likelihood import NO_FILTER, fit_of, problems_of
 from diagnosis.data.command_curve import lagged
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.command_gain import command_gain
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
-from diagnosis.likelihood.given_set import fit_set, nearest_members
-from diagnosis.likelihood.named import Named
+from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
+from diagnosis.likelihood.given_set import nearest_members
+from diagnosis.likelihood.identify import Identified, identify
+from diagnosis.likelihood.noise_fit import NoiseFit
+from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import BEND
-from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
@@ -43,7 +42,7 @@ from dynamics.effects.thrust_constant import EFFECT as THRUST_CONSTANT
 from dynamics.effects.torque_constant import EFFECT as TORQUE_CONSTANT
 from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
-from dynamics.vehicle import GRAVITY, Vehicle
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from flights import Flight
 from flights.rotors import rotor_speeds
 
@@ -61,9 +60,33 @@ DAMPING = Effect(
     parameters=tuple(Parameter(axis, "N m s/rad", "", -1e3, 1e3, lambda _: Prior(0.0, 1.0)) for axis in "xyz"),
     wrench=damped,
 )
-CONSTANTS = (INERTIA, MOTOR_LAG, THRUST_CONSTANT)
-DRAGS = (ROTOR_DRAG, LINEAR_DRAG)  # nearly one signal: the one that fits better
+DRAGS = (ROTOR_DRAG.name, LINEAR_DRAG.name)  # nearly one signal: the likelier one
+
+
+def _by_rule(effect: Effect) -> Effect:
+    """An effect about a constant that a rule gives, which errs by as much as half of it."""
+    return replace(effect, parameters=tuple(replace(p, prior=lambda _: Prior(1.0, 0.5)) for p in effect.parameters))
+
+
+def _of_either_sign(effect: Effect) -> Effect:
+    """A drag that stands for all that slows a vehicle down, of which nothing may be left."""
+    return replace(effect, parameters=tuple(replace(p, lower=-p.upper) for p in effect.parameters))
+
+
+EFFECTS: Mapping[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        _by_rule(INERTIA),
+        _by_rule(TORQUE_CONSTANT),
+        THRUST_CONSTANT,
+        MOTOR_LAG,
+        DAMPING,
+        _of_either_sign(ROTOR_DRAG),
+        _of_either_sign(LINEAR_DRAG),
+    )
+}
 LIMITS = DEFAULT.vehicle
+NO_VEHICLE = "no inertia and lag that a vehicle can have fit these logs. Look at them with `alula inspect`."
 NORMAL = float(ndtri(0.975))  # standard deviations in half of an interval of 95 %
 
 
@@ -102,7 +125,7 @@ class Identification:
     is_measured: whether rotor speeds were measured.
     hover: signal in hover, None without signals.
     segments, duration: of flight that was used, and their length in s.
-    chi_square: reduced, of the fit; 1 where the residuals are noise.
+    chi_square: reduced, of the innovations; 1 where they are noise.
     """
 
     vehicle: Vehicle
@@ -141,40 +164,104 @@ def identify_vehicle(
         vehicle = _with_rotors(
             vehicle, speed_max=signal.speed_max.value, thrust_curve=min(max(signal.curve.value, 0.0), 1.0)
         )
-    choices: list[Effect] = []
+    uses: Sequence[EffectUse] = ()
+    noise: Sequence[NoiseFit] = ()
+    fitted: Fit | None = None
+    is_inertia_rough = True
     for done in range(LIMITS.max_rounds):
         progress(done / LIMITS.max_rounds, f"estimating the constants, round {done + 1}")
         start = calibrated(vehicle, flights)
         dataset = make_dataset(flights, start)
-        regression = _regression(dataset, start, catalogue)
-        choices = choices or _drags(regression)
-        fits = {choice: _fitted(regression, choice) for choice in choices}
-        drag = min(choices, key=lambda choice: fits[choice].chi_square)
-        fitted, choices = fits[drag], [drag]
-        vehicle, moved = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
-        if not moved:
+        problems = _problems(dataset, start, catalogue)
+        sets = _sets(problems[0])
+        members: Sequence[int] = nearest_members(problems[0], uses) if uses else sets[0]
+        result = _identified(problems, members, noise)
+        is_possible = result.best.evidence != IMPOSSIBLE
+        if is_inertia_rough and not is_possible:
+            vehicle, is_inertia_rough = _with_linear_inertia(start, result.search, members), False
+            continue
+        if not uses or not is_possible:
+            members = _likeliest(result.search, sets)
+        noise, fitted = result.noise, fit_of(result.search, members)
+        uses = [use for use in fitted.vehicle.effects if use.name in {c.effect.name for c in fitted.candidates}]
+        vehicle, is_moved = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
+        if not is_moved and set(members) == set(result.best.members):
             break
-    progress(1.0 - 1.0 / LIMITS.max_rounds, "values and intervals by the likelihood")
-    fitted = _likeliest(regression, dataset, fitted, drag)
-    vehicle, _ = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
-    return _identification(start, vehicle, fitted, dataset, drag, signal)
+    if fitted is None:
+        raise DataError(NO_VEHICLE)
+    ratio = _torque_ratio(fitted)
+    if ratio is not None and ratio.std > LIMITS.max_torque_deviation * ratio.value:
+        what = result.search.what
+        fitted = fit_of(result.search, [i for i in members if what.all[i].effect.name != TORQUE_CONSTANT.name])
+        vehicle, _ = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
+    return _identification(start, vehicle, fitted, dataset, signal, result.chi_square)
 
 
-def _likeliest(regression: Regression, dataset: Dataset, fitted: Fit, drag: Effect) -> Fit:
-    """A fit's constants by the likelihood, begun at a fit's values; that fit where no filter has such readings."""
-    segments = replace(dataset, fitted=dataset.everything, flight_of=_flights(dataset), held_out=())
-    torque = any(c.effect is TORQUE_CONSTANT for c in fitted.candidates)
-    effects = [*CONSTANTS, drag, DAMPING, *([TORQUE_CONSTANT] if torque else [])]
+def _problems(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> list[Problem]:
+    """All segments, and as candidates the effects that stand for constants and those of the vehicle file."""
+    every = replace(dataset, fitted=dataset.everything, flight_of=_flights(dataset), held_out=())
+    own = {use.name: catalogue[use.name] for use in vehicle.effects}
+    return problems_of(every, vehicle, {**own, **EFFECTS}, DEFAULT.likelihood)
+
+
+def _identified(problems: Sequence[Problem], members: Sequence[int], noise: Sequence[NoiseFit]) -> Identified:
+    """A set about its values. noise: of each kind of logs near its best, where one was fitted."""
     try:
-        problems = likelihood_problems(segments, regression)
-        uses = [use for use in fitted.vehicle.effects if any(use.name == effect.name for effect in effects)]
-        shown = {candidate.identity for candidate in problems[0].what.all}
-        members = nearest_members(problems[0], [use for use in uses if (use.name, use.rotor) in shown])
-        search = fit_set(problems, members).search
-    except (DataError, np.linalg.LinAlgError):
-        return fitted
-    own = [Named(number, problems[0].what.all[number], math.inf, ()) for number in members]
-    return replace(likelihood_fit(search, regression, own), chi_square=fitted.chi_square)
+        return identify(problems, fixed_set=members, begin=noise if len(noise) == len(problems) else ())
+    except np.linalg.LinAlgError as error:
+        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
+
+
+def _likeliest(search: Search, sets: Sequence[Sequence[int]]) -> Sequence[int]:
+    """The likeliest of some sets."""
+    able = [one for one in sets if set(one) <= set(search.able)]
+    best = max(able, key=lambda one: search.score(one).evidence, default=())
+    if not best or search.score(best).evidence == IMPOSSIBLE:
+        raise DataError(NO_VEHICLE)
+    return best
+
+
+def _with_linear_inertia(vehicle: Vehicle, search: Search, members: Sequence[int]) -> Vehicle:
+    """The vehicle with the inertia that is likeliest where all is linear, whatever that makes of other values.
+
+    A moment turns an inertia of r as it does 2 n - n^2 / r in the model that is linear about n. That holds for one that
+    is several times too large or too small.
+    """
+    what, total = search.what, search.total
+    members = [i for i in members if what.all[i].effect.name != TORQUE_CONSTANT.name]  # their ratio is nearly linear
+    places = [place for i in members for place in what.places(i)]
+    precision = total.M[np.ix_(places, places)] + np.diag(search.std[places] ** -2.0)
+    values = dict(zip(places, np.linalg.solve(precision, total.g[places]), strict=True))
+    inertia = next(i for i in members if what.all[i].effect.name == INERTIA.name)
+    ratios = []
+    for place, parameter in zip(what.places(inertia), INERTIA.parameters, strict=True):
+        now, linear = 1 + total.now[place], 1 + values[place]
+        ratios.append(now**2 / max(2 * now - linear, now**2 / parameter.upper))
+    x, y, z = (own * ratio for own, ratio in zip(vehicle.body.inertia, ratios, strict=True))
+    return msgspec.structs.replace(
+        vehicle, body=msgspec.structs.replace(vehicle.body, inertia=(x, y, _possible(z, x, y)))
+    )
+
+
+def _sets(problem: Problem) -> list[list[int]]:
+    """Sets of what these flights can show: with each drag, that of the vehicle file if it has one, and with each lag
+    that is tried, or none where the file has none. First that with usual values."""
+    numbers: dict[str, list[int]] = {}
+    for number, candidate in enumerate(problem.what.all):
+        numbers.setdefault(candidate.effect.name, []).append(number)
+    own = [use.name for use in problem.vehicle.effects if use.name in DRAGS]
+    drags = [name for name in own[:1] or DRAGS if name in numbers]
+    if not drags:
+        raise DataError(
+            "the logs hold no velocity, so that drag cannot be told from thrust and inertia. Log position or velocity."
+        )
+    others = [numbers[name][0] for name in EFFECTS if name in numbers and name not in (MOTOR_LAG.name, *DRAGS)]
+    lags = [[number] for number in numbers.get(MOTOR_LAG.name, [])]
+    usual = MOTOR_LAG.defaults(problem.vehicle)
+    lags.sort(key=lambda one: problem.what.all[one[0]].distance(usual))
+    if all(use.name != MOTOR_LAG.name for use in problem.vehicle.effects):
+        lags.append([])
+    return [sorted([*others, numbers[drag][0], *lag]) for lag in lags or [[]] for drag in drags]
 
 
 def calibrated(vehicle: Vehicle, flights: Sequence[Flight]) -> Vehicle:
@@ -205,45 +292,11 @@ def _with_rotors(vehicle: Vehicle, **changed: float) -> Vehicle:
     return msgspec.structs.replace(vehicle, rotors=rotors)
 
 
-def _regression(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Regression:
-    """Of the effects that stand for constants, and those of the vehicle file, on all segments."""
-    names = {effect.name for effect in (*CONSTANTS, TORQUE_CONSTANT, *DRAGS, DAMPING)} | {
-        use.name for use in vehicle.effects
-    }
-    effects = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
-    return make_regression(vehicle, effects, dataset.everything, _flights(dataset))
-
-
 def _flights(dataset: Dataset) -> tuple[int, ...]:
     """The flight of each segment, those held out among them."""
     last = max(dataset.flight_of, default=-1) + 1
     logs = list(dict.fromkeys(s.flight for s in dataset.held_out))
     return (*dataset.flight_of, *(last + logs.index(s.flight) for s in dataset.held_out))
-
-
-def _drags(regression: Regression) -> list[Effect]:
-    """The drags that these flights can show: those of the vehicle file where it has any."""
-    shown = [effect for effect in DRAGS if any(c.effect is effect for c in regression.candidates)]
-    own = [effect for effect in shown if any(use.name == effect.name for use in regression.vehicle.effects)]
-    choices = own[:1] or shown
-    if not choices:
-        raise DataError(
-            "the logs hold no velocity, so that drag cannot be told from thrust and inertia. Log position or velocity."
-        )
-    return choices
-
-
-def _fitted(regression: Regression, drag: Effect) -> Fit:
-    """The joint fit, with a torque constant of its own where it can be told from the yaw inertia."""
-    effects = [*CONSTANTS, drag, DAMPING]
-    candidates = [c for effect in effects if (c := _candidate(regression, effect)) is not None]
-    torque = _candidate(regression, TORQUE_CONSTANT)
-    if torque is not None:
-        fitted = fit(regression, [*candidates, torque])
-        ratio = _torque_ratio(fitted)
-        if ratio is not None and not fitted.unsettled and ratio.std <= LIMITS.max_torque_deviation * ratio.value:
-            return fitted
-    return fit(regression, candidates)
 
 
 def _torque_ratio(fitted: Fit) -> ParameterEstimate | None:
@@ -261,19 +314,13 @@ def _yaw_gain_deviation(fitted: Fit) -> float:
     return math.sqrt(max(float(slopes @ fitted.covariance @ slopes), 0.0))
 
 
-def _candidate(regression: Regression, effect: Effect) -> Candidate | None:
-    """The candidate of an effect, of several points of its grid the one that fits best; None where it cannot show."""
-    candidates = [c for c in regression.candidates if c.effect is effect]
-    return max(candidates, key=lambda c: regression.gain(c.columns), default=None)
-
-
 def _corrected(start: Vehicle, fitted: Fit, dataset: Dataset, *, fit_curve: bool) -> tuple[Vehicle, bool]:
     """The vehicle with a fit's values, and whether one of them has moved by more than a share of its interval."""
     ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
     x, y, z = start.body.inertia
     tilt = (x * ratios[0].value, y * ratios[1].value)
     torque = _torque_ratio(fitted)
-    yaw = min(max(z if torque is None else z * ratios[2].value, 1.001 * abs(tilt[0] - tilt[1])), 0.999 * sum(tilt))
+    yaw = _possible(z if torque is None else z * ratios[2].value, *tilt)
     thrust = _thrust_ratio(fitted, dataset)
     twist = thrust.value * (1.0 if torque is None else torque.value)
     gain = start.rotors.torque_constant * twist / (z * ratios[2].value)
@@ -289,6 +336,11 @@ def _corrected(start: Vehicle, fitted: Fit, dataset: Dataset, *, fit_curve: bool
         if abs(e.value - 1.0) > LIMITS.converged * NORMAL * e.std
     ]
     return _with_rotors(msgspec.structs.replace(start, body=body), **changed), bool(moved)
+
+
+def _possible(yaw: float, x: float, y: float) -> float:
+    """The moment of inertia about z that is nearest to one and possible beside those about x and y."""
+    return min(max(yaw, 1.001 * abs(x - y)), 0.999 * (x + y))
 
 
 def _thrust_ratio(fitted: Fit, dataset: Dataset) -> ParameterEstimate:
@@ -386,32 +438,34 @@ def _signal_curve(signal: Floats, speed: Floats, rate: float) -> tuple[float, fl
 
 
 def _identification(
-    start: Vehicle, vehicle: Vehicle, fitted: Fit, dataset: Dataset, drag: Effect, signal: _SignalFit | None
+    start: Vehicle,
+    vehicle: Vehicle,
+    fitted: Fit,
+    dataset: Dataset,
+    signal: _SignalFit | None,
+    chi_square: float,
 ) -> Identification:
     ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
-    unsettled = INERTIA.name in fitted.unsettled
 
-    def constant_of(value: float, relative: float, unit: str, *, settled: bool = True) -> Constant:
+    def constant_of(value: float, relative: float, unit: str) -> Constant:
         width = math.hypot(NORMAL * relative, LIMITS.model_error) * abs(value)
-        return Constant(value, width if settled else math.inf, unit)
+        return Constant(value, width if math.isfinite(width) else math.inf, unit)
 
     x, y, z = (
-        constant_of(base * r.value, r.std / r.value, "kg m^2", settled=not unsettled)
+        constant_of(base * r.value, r.std / r.value, "kg m^2")
         for base, r in zip(start.body.inertia, ratios, strict=True)
     )
     thrust = _thrust_ratio(fitted, dataset)
-    is_settled, deviation = math.isfinite(thrust.std), thrust.std / thrust.value
-    constant = constant_of(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2", settled=is_settled)
+    deviation = thrust.std / thrust.value
+    constant = constant_of(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2")
     torque = _torque_ratio(fitted)
     twist = thrust.value * (1.0 if torque is None else torque.value)
-    gain = constant_of(
-        start.rotors.torque_constant * twist / z.value, _yaw_gain_deviation(fitted), "1/rad", settled=not unsettled
-    )
+    gain = constant_of(start.rotors.torque_constant * twist / z.value, _yaw_gain_deviation(fitted), "1/rad")
     curve, lag = _curve_and_lag(start, fitted, dataset, signal)
     full = math.hypot(deviation, _extrapolation(vehicle, curve) / NORMAL)
     return Identification(
         vehicle=vehicle,
-        thrust=constant_of(vehicle.rotors.thrust_max, full, "N", settled=is_settled),
+        thrust=constant_of(vehicle.rotors.thrust_max, full, "N"),
         thrust_constant=constant,
         thrust_curve=curve,
         inertia=(x, y),
@@ -419,12 +473,12 @@ def _identification(
         yaw_inertia=None if torque is None else z,
         motor_lag=lag,
         speed_max=None if signal is None else signal.speed_max,
-        drag=drag.name,
+        drag=next(key for key in fitted.keys if key in DRAGS),
         is_measured=dataset.fitted[0].rotor_source == "measured",
         hover=_hover_signal(vehicle) if curve is not None else None,
         segments=len(dataset.everything),
         duration=sum(s.duration for s in dataset.everything),
-        chi_square=fitted.chi_square,
+        chi_square=chi_square,
         notes=tuple(n for n in dataset.notes if dataset.curve is None or n != dataset.curve.note()),
     )
 

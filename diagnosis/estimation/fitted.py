@@ -10,7 +10,6 @@ import numpy as np
 
 from diagnosis.selection.candidates import Candidate
 from dynamics.arrays import Floats
-from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle
 
 
@@ -32,10 +31,8 @@ class Fit:
     candidates: what was fitted.
     covariance: (k, k) of the estimates, in their order, those of the commands behind them.
     information: (k, k) normal equations of the same, biases marginalised.
-    unsettled: keys of effects on whose parameters the fit did not converge; their covariance says nothing.
     nuisances: what lies between command and thrust, fitted beside them; none where rotor speeds were measured.
     commands: estimates of these.
-    chi_square: reduced, of the fitted flights.
     """
 
     vehicle: Vehicle
@@ -43,10 +40,8 @@ class Fit:
     candidates: tuple[Candidate, ...]
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    unsettled: frozenset[str] = frozenset()
     nuisances: tuple[Candidate, ...] = ()
     commands: Mapping[tuple[str, str], ParameterEstimate] = field(default_factory=dict)
-    chi_square: float = float("nan")
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -110,20 +105,3 @@ def left_out(
     limits = {(c.key, p.name): (p.lower, p.upper) for c in others for p in c.effect.parameters}
     moved = {keys[i]: float(np.clip(values[i], *limits[keys[i]])) for i in range(len(keys)) if i not in own}
     return moved, with_candidates(vehicle, others, {f"{key}.{name}": v for (key, name), v in moved.items()})
-
-
-def coefficients(fitted: Fit, candidate: Candidate) -> Floats:
-    """(c,) coefficients of a candidate's columns at a fit that holds it."""
-    if candidate.fixed_shape:
-        return np.ones(1)
-    return np.array([fitted.estimates[candidate.key, name].value - candidate.at[name] for name in candidate.free])
-
-
-def neutral_value(effect: Effect, name: str) -> float:
-    """The value of an effect's parameter at which the effect vanishes."""
-    return next(p.neutral for p in effect.parameters if p.name == name)
-
-
-def bounds(effect: Effect, name: str) -> tuple[float, float]:
-    """Physical bounds of an effect's parameter."""
-    return next((p.lower, p.upper) for p in effect.parameters if p.name == name)

@@ -64,10 +64,6 @@ class Candidate:
         present = neutral if self.present is None else self.present
         return {name: value - present[name] for name, value in self.at.items()}
 
-    def scaled(self, coefficient: float) -> dict[str, float]:
-        """Parameters of a fixed shape with a coefficient."""
-        return {name: self.at[name] + (coefficient - 1) * size for name, size in self.sizes.items()}
-
     @property
     def key(self) -> str:
         """Name in a model."""

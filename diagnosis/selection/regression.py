@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
-from diagnosis.data.workspace import Workspace
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix
@@ -71,7 +70,6 @@ class Regression:
     noisier: the segments with noise added.
     thresholds: for all that is built on this regression.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
-    workspace: fits that were made on it.
     """
 
     vehicle: Vehicle
@@ -102,7 +100,6 @@ class Regression:
     nuisances: tuple[Candidate, ...] = ()
     shared: Biases = NO_BIASES
     saturated: dict[bytes, Floats] = field(default_factory=dict)
-    workspace: Workspace = field(default_factory=Workspace, init=False)
 
     @cached_property
     def sensor_errors(self) -> SensorErrors:
@@ -137,15 +134,6 @@ class Regression:
         theta, gain = solved(*self._free_of_shared(where, plain=plain))
         return theta, float(gain)
 
-    def nuisance_values(self, chosen: Sequence[int]) -> Floats:
-        """Coefficients of what the flights share, beside the chosen columns."""
-        places, where = list(self.shared.columns), list(chosen)
-        theta, _ = self.solve(where)
-        gram, product = self._sums([*places, *where])
-        count = len(places)
-        inner = gram[:count, :count] + np.diag(self.shared.information)
-        return np.asarray(np.linalg.solve(inner, product[:count] + self.shared.pull - gram[:count, count:] @ theta))
-
     @cached_property
     def _stacked(self) -> tuple[Floats, Floats, Floats, Floats]:
         gram, product = np.stack(self.gram), np.stack(self.product)
@@ -167,12 +155,6 @@ class Regression:
     def gain(self, chosen: Sequence[int]) -> float:
         """Twice the log-likelihood that the chosen columns gain beyond the biases."""
         return self.solve(chosen)[1]
-
-    def gains(self, chosen: Sequence[int], weights: Floats) -> Floats:
-        """(r,) the same with flights that count as often as (r, f) weights say."""
-        if not len(chosen):
-            return np.zeros(len(weights))
-        return solved(*self._free_of_shared(list(chosen), weights))[1]
 
     def _free_of_shared(
         self, where: Sequence[int], weights: Floats | None = None, *, plain: bool = False

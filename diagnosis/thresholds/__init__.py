@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from diagnosis.thresholds.estimation import (
     AcceptanceThresholds,
-    EquationErrorThresholds,
     RelevanceThresholds,
 )
 from diagnosis.thresholds.group import ThresholdGroup
@@ -54,7 +53,6 @@ class Thresholds(ThresholdGroup, frozen=True):
     noise: NoiseThresholds = NoiseThresholds()
     pose: PoseThresholds = PoseThresholds()
     regression: RegressionThresholds = RegressionThresholds()
-    equation_error: EquationErrorThresholds = EquationErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
     likelihood: LikelihoodThresholds = LikelihoodThresholds()
@@ -75,7 +73,6 @@ __all__ = [
     "CompletionThresholds",
     "DataChecks",
     "DatasetThresholds",
-    "EquationErrorThresholds",
     "FilterThresholds",
     "HoverTrimThresholds",
     "InFlightThresholds",

@@ -340,8 +340,6 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     examples: segments on which the model's slope in the velocity is found. [margins: neither]
     certain: share of their variance that is taken off normal equations. [formula: the least that
     a size known by a half may be]
-    unsure: share of what the correction for these errors moves an estimate that is a deviation of it.
-    [results/verdicts.md, seeds below 964]
     draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
     predicts of them. [margins: neither]
     """
@@ -354,5 +352,4 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     min_coherence: Share = 0.7
     examples: Count = 3
     certain: Share = 0.5
-    unsure: Share = 0.5
     draws: Count = 4

@@ -1,5 +1,6 @@
 """Vehicle files from logs: layout by the autopilot's parameters, constants from flights of known truth."""
 
+import dataclasses
 from pathlib import Path
 
 import msgspec
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from diagnosis.vehicle_check import check_vehicle
-from diagnosis.vehicle_from_logs import LogVehicle, vehicle_from_logs
+from diagnosis.vehicle_from_logs import LogVehicle, _open, vehicle_from_logs
 from diagnosis.vehicle_identification import identify_vehicle
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle_file import find_vehicle, parse_vehicle, read_vehicle
@@ -50,8 +51,17 @@ def test_the_layout_is_the_parameters_in_the_order_in_which_logs_are_read(sih: L
 def test_the_file_states_sources_intervals_and_what_is_open(sih: LogVehicle) -> None:
     text = sih.draft.toml
     assert parse_vehicle(text) == sih.draft.vehicle
-    for words in ("# given", "CA_ROTORn_PX", "+-", "# Open: torque constant and yaw inertia apart", "log esc_status"):
+    for words in ("# given", "CA_ROTORn_PX", "+-", "log esc_status"):
         assert words in text
+
+
+def test_a_ratio_that_flights_show_alone_is_open(sih: LogVehicle) -> None:
+    assert sih.identified is not None
+    identified = dataclasses.replace(sih.identified, yaw_inertia=None)
+    assert any(
+        "torque constant and yaw inertia apart" in text
+        for text in _open(sih.layout, identified, "", mass=1.0, speed=1e3)
+    )
 
 
 def test_without_a_mass_it_stays_open_and_nothing_is_a_vehicle() -> None:

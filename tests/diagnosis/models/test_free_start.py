@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from diagnosis.data.segment import segments
-from diagnosis.estimation.equation_error import fit
 from diagnosis.models.predictor import Predictor
-from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.outside_cases import Campaign, captured_flights, flown, vehicle_of
 from fixtures.outside_sensors import Recorder
+from tests.diagnosis.set_fits import fitted_to
 
 LOAD = {"mass": 0.025, "length": 0.5}
 SWINGS = np.array([0.2, -0.1, -1.0, 0.5, 0.9, 0.0])
@@ -57,10 +56,6 @@ def test_the_joint_fit_finds_mass_and_line_of_a_load_that_swings_from_the_start(
     (truths,) = flown([campaign])
     assert truths is not None
     vehicle = vehicle_of(campaign)
-    swinging = [segments(flight, vehicle)[0] for flight in captured_flights(campaign, truths)]
-    catalogue = {name: CATALOGUE[name] for name in ("slung_load", "imu_bias", "gyro_bias")}
-    regression = make_regression(vehicle, catalogue, swinging, range(len(swinging)))
-    near = [c for c in regression.candidates if c.effect.name == "slung_load"][4:5]
-    estimates = fit(regression, near).estimates
+    estimates = fitted_to(captured_flights(campaign, truths), vehicle, EffectUse("slung_load", load)).estimates
     assert estimates["slung_load", "mass"].value == pytest.approx(load["mass"], rel=0.03)
     assert estimates["slung_load", "length"].value == pytest.approx(load["length"], rel=0.03)

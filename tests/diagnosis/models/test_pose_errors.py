@@ -9,7 +9,6 @@ from scipy.signal import lfilter, welch
 
 import alula
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
@@ -22,6 +21,7 @@ from dynamics.vehicle import EffectUse
 from fixtures.outside_cases import Campaign, write_campaign
 from fixtures.outside_cases import flown as flights_of
 from fixtures.outside_sensors import Recorder
+from tests.diagnosis.set_fits import fitted_on
 from tests.diagnosis.synthetic import hovering
 
 RATE = 25.0
@@ -170,8 +170,8 @@ def regression_of(folder):
 def test_a_gyros_noise_does_not_explain_itself_in_the_attitudes_rate(estimated_flights):
     """Columns of its scale and its delays are made of it, and beside each other they would leave nothing of it."""
     folder, _ = estimated_flights
-    _, _, regression = regression_of(folder)
-    rows = residuals_in(regression, fit(regression, ()).vehicle, regression.segments)
+    vehicle, dataset, regression = regression_of(folder)
+    rows = residuals_in(regression, fitted_on(dataset, vehicle, CATALOGUE).vehicle, regression.segments)
     rates = np.vstack([regression.noise.whiten(y) for y in rows])[:, 9:]
     assert np.mean(rates**2, axis=0) == pytest.approx(np.ones(3), abs=0.5)  # 2 to 6 where it does
     for axis in rates.T:  # as dense at the frequencies of noise as at those of motion

@@ -6,7 +6,7 @@ import pytest
 from diagnosis.by_likelihood import about
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
@@ -54,7 +54,8 @@ def test_noise_about_a_fit_is_that_of_the_regression(tmp_path):
     dataset, vehicle = logged_by_px4(tmp_path, hidden, 0.14617, 2.1833e-4, 1126209292)
     regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
     delay = next(c for c in regression.candidates if c.key == "time_delay" and c.at["delay"] == 0.015)
-    again = about(regression, fit(regression, [delay]))
+    fitted = Fit(vehicle, {("time_delay", "delay"): ParameterEstimate(0.011, 0.001, "s")}, (delay,))
+    again = about(regression, fitted)
     assert again is not None
     np.testing.assert_allclose(again.noise.level, regression.noise.level, rtol=0.3)
 
