@@ -7,7 +7,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.agreement import both, rms
 from flights.hypotheses import pose
-from flights.hypotheses.hypothesis import Hypothesis, Streams, after, is_better
+from flights.hypotheses.hypothesis import Hypothesis, Streams, after, better_than, is_better
 from flights.hypotheses.motion import MIN_SPEED, Motion
 from flights.hypotheses.pose import CLOSES, Reading, Turns
 from flights.hypotheses.rotation import FRD, NED, axes_text, fitted, in_words, is_none, is_whole
@@ -15,7 +15,6 @@ from flights.stream_repair import StreamRepair
 
 _MISALIGNED = np.deg2rad(20.0)  # between position and velocity, of which an estimator errs in the latter when slow
 _ONE_MOTION = 0.7  # share of a velocity that the position's change explains where they are one motion
-_GAIN = 0.1  # of the score, by which another reading must be better than the declared one
 
 
 def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
@@ -23,11 +22,11 @@ def of_pose(streams: Streams, motion: Motion) -> list[Hypothesis]:
     as_declared = pose.declared(motion)
     if as_declared is None:
         return []
-    gain = _GAIN if not as_declared.assumptions else 0.0
+    required = as_declared.score if as_declared.assumptions else better_than(as_declared.score)
     reading = as_declared
-    if as_declared.score + gain < 1.0:  # none scores more
+    if required < 1.0:  # none scores more
         others = pose.others(motion)
-        reading = next((one for one in others if one.score > as_declared.score + gain), as_declared)
+        reading = next((one for one in others if one.score > required), as_declared)
     if not reading.closures or max(reading.closures) < CLOSES:
         return []
     lateral = pose.lateral_turn(motion, reading)

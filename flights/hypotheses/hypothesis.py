@@ -60,7 +60,12 @@ def in_words(hypotheses: Sequence[Hypothesis]) -> str:
 def is_better(share: float, declared: float) -> bool:
     """Whether a share of a signal that another reading explains is clearly more than the declared one does: of what
     that leaves open, one of many readings explains a little by chance, the more the larger an estimator's error is."""
-    return share - declared >= _BETTER * (1 - declared)
+    return share >= better_than(declared)
+
+
+def better_than(declared: float) -> float:
+    """The share that is clearly more than a declared one."""
+    return declared + _BETTER * (1 - declared)
 
 
 def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:

@@ -16,6 +16,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.agreement import both, rms
+from flights.hypotheses.hypothesis import is_better
 from flights.hypotheses.motion import MIN_ROWS, Motion, change
 from flights.hypotheses.rotation import (
     ALIKE,
@@ -152,8 +153,9 @@ def _usual_force(motion: Motion) -> Floats:
 
 
 def _closing(fit: Fit) -> Fit:
-    """A fit, without the turn of one that does not close, which is that of noise."""
-    return fit if fit.closed > CLOSES else Fit(np.eye(3), fit.gain, fit.plain, fit.plain)
+    """A fit, without the turn of one that does not close or that closes little better, which is that of noise."""
+    clear = fit.closed > CLOSES and is_better(fit.closed, fit.plain)
+    return fit if clear else Fit(np.eye(3), fit.gain, fit.plain, fit.plain)
 
 
 def _with_world(motion: Motion, attitude: Floats, reading: Reading) -> Reading:

@@ -161,12 +161,14 @@ def test_even_stamps_are_the_samples_own_but_for_a_constant() -> None:
     assert np.ptp(off) < 0.5 * period
 
 
+@pytest.mark.parametrize("share", [0.55, 0.8, 1.1])
 @pytest.mark.parametrize("seed", range(12))
-def test_an_estimators_error_of_velocity_is_no_clock_and_no_turn(seed: int) -> None:
+def test_an_estimators_error_of_velocity_is_no_clock_and_no_turn(seed: int, share: float) -> None:
     """It takes as much from the velocity as the motion gives; of many shifts and turns one fits a little better."""
     streams, random = dragged_flight(0.5, 0.4), np.random.default_rng(seed)
     true = streams["velocity"].values
     error = lfilter([1.0], [1.0, -np.exp(-0.01 / 1.5)], random.normal(size=true.shape), axis=0)
-    size = random.uniform(0.4, 0.7) * np.linalg.norm(true.std(axis=0)) / np.linalg.norm(error.std(axis=0))
+    error = lfilter([1.0], [1.0, -np.exp(-0.01 / 0.3)], error, axis=0)
+    size = random.uniform(0.75, 1.25) * share * np.linalg.norm(true.std(axis=0)) / np.linalg.norm(error.std(axis=0))
     streams = {**streams, "velocity": with_values(streams["velocity"], true + size * error)}
     assert explain(list(streams.values())) == ()
