@@ -19,7 +19,7 @@ from diagnosis.estimation.acceptance import (
     with_faults_of,
     with_nuisances_of,
 )
-from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
+from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, left_out
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import relative_rise
@@ -29,9 +29,7 @@ from diagnosis.models.channels import channel_name
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sentence
-from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import make_regression
+from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds, Thresholds
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
@@ -103,18 +101,15 @@ def add_effect(
         answer = result.likelihood
     else:
         progress(0.1, "signals of the catalogue's effects")
-        first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-        answer = _likely(name, rotor, first, dataset, part_of(progress, 0.1, 0.5))
-    regression = answer.regression
-    judge = HeldOut(regression, dataset.held_out)
+        answer = _likely(name, rotor, dataset, vehicle, catalogue, thresholds, part_of(progress, 0.1, 0.5))
+    judge = HeldOut(answer.noise, dataset.held_out)
     progress(0.5, "each effect on held-out flights")
-    accepted = _borne_out(answer, dataset, judge).accepted
+    accepted = _borne_out(answer, judge).accepted
     present, fitted = answer.vehicle_without, accepted.fit
     before = with_faults_of(fitted, present)
     progress(0.9, "errors on held-out flights")
     _require_no_loss(judge, present, before, fitted, thresholds.relevance)
-    floor = judge.floor(fitted.vehicle)
-    sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
+    floor, sensors = judge.floor(fitted.vehicle), judge.sensors(fitted.vehicle)
     errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
     _require_no_drift(fitted, vehicle, dataset, errors, thresholds.relevance)
     action = _action(fitted, vehicle)
@@ -126,8 +121,8 @@ def add_effect(
         channels=errors,
         keys=fitted.keys,
         chi_square=(
-            reduced_chi_square(judge.rows(present), regression.noise),
-            reduced_chi_square(judge.rows(fitted.vehicle), regression.noise),
+            reduced_chi_square(judge.rows(present), floor),
+            reduced_chi_square(judge.rows(fitted.vehicle), floor),
         ),
         open_loop=(horizons_of(judge, before), horizons_of(judge, fitted.vehicle)),
         refused=accepted.refused,
@@ -135,9 +130,18 @@ def add_effect(
     )
 
 
-def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, progress: Progress) -> LikelihoodAnswer:
+def _likely(
+    name: str,
+    rotor: int | None,
+    dataset: Dataset,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    thresholds: Thresholds,
+    progress: Progress,
+) -> LikelihoodAnswer:
     """The answer with one effect, on the rotor where it is likeliest. Raises DataError where it is not likely."""
-    able = {c.identity for c in first.candidates if c.effect.name == name and rotor in (None, c.rotor)}
+    possible = make_candidates(vehicle, catalogue, dataset.fitted)
+    able = {c.identity for c in possible if c.effect.name == name and rotor in (None, c.rotor)}
     if not able:
         raise DataError(
             f"these flights cannot show {name}"
@@ -145,7 +149,7 @@ def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, p
             + ": with measured rotor speeds there is no motor lag, with commands alone no thrust "
             "constant, without voltage no sag. `alula diagnose` lists what they can show."
         )
-    answer = answer_by_likelihood(first, dataset, progress, one_of=able)
+    answer = answer_by_likelihood(dataset, vehicle, catalogue, thresholds, progress, one_of=able)
     if able & {one.candidate.identity for one in answer.named}:
         return answer
     search = answer.search
@@ -165,18 +169,18 @@ def _likely(name: str, rotor: int | None, first: Regression, dataset: Dataset, p
     )
 
 
-def _borne_out(answer: LikelihoodAnswer, dataset: Dataset, judge: HeldOut) -> LikelihoodAnswer:
+def _borne_out(answer: LikelihoodAnswer, judge: HeldOut) -> LikelihoodAnswer:
     """The answer with effects with each of which the open loop is better by more than chance, and faults of sensors.
 
     The weakest of the others is left out, until none is left. Raises DataError where nothing remains.
     """
-    required = answer.regression.thresholds.relevance.deviations
+    required = answer.noise.thresholds.relevance.deviations
     named = answer.accepted.fit.candidates
-    while idle := _idle(answer.accepted.fit, answer.regression.vehicle, judge, required):
+    while idle := _idle(answer.accepted.fit, answer.noise.vehicle, judge, required):
         weakest = min(idle, key=lambda candidate: idle[candidate])
         fitted = answer.accepted.fit
         refused = refused_of(fitted, weakest, "open_loop_alike", deviations=idle[weakest], required=required)
-        answer = answer.without([refused], dataset)
+        answer = answer.without([refused])
     if named and not answer.accepted.fit.candidates:
         why = answer.accepted.refused
         reasons = "; ".join(refusal_sentence(one) for one in why if one.reason == "open_loop_alike")

@@ -1,4 +1,4 @@
-"""The likelihood's answer in the form of the regression's, which makes the residuals, their floor and the gust."""
+"""The likelihood's answer about a data set: the effects it names, their values, and the noise of the residuals."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
+from diagnosis.estimation.channel_noise import ChannelNoise
+from diagnosis.estimation.evaluation import require_followed
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
-from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.columns import candidates
 from diagnosis.likelihood.evidence import IMPOSSIBLE, Search
@@ -19,13 +20,12 @@ from diagnosis.likelihood.flight_rows import rows_by_kind
 from diagnosis.likelihood.identify import Identified, command_values, deviations, identify
 from diagnosis.likelihood.left_over import LeftOver
 from diagnosis.likelihood.named import Doubted, Named, named_effects
+from diagnosis.likelihood.noise_fit import NoiseFit, likeliest, structures_of
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import seen_as, with_command_effects
 from diagnosis.report import MissingEffect
-from diagnosis.selection.candidates import Candidate, Identity
-from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import about_fit
-from diagnosis.thresholds import LikelihoodThresholds
+from diagnosis.selection.candidates import Identity
+from diagnosis.thresholds import DEFAULT, Thresholds
 from diagnosis.verdict import parameters_of
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
@@ -38,14 +38,14 @@ NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodAnswer:
-    """The named effects by the likelihood, and the regression's view of them.
+    """The named effects by the likelihood.
 
-    result: the best set. regression: about the named effects.
+    result: the best set. noise: of the residuals beside it.
     """
 
     result: Identified
     named: tuple[Named, ...]
-    regression: Regression
+    noise: ChannelNoise
     accepted: Accepted
 
     @property
@@ -55,13 +55,13 @@ class LikelihoodAnswer:
 
     def missing(self) -> tuple[MissingEffect, ...]:
         """The named effects, the surest first."""
-        commanded = self.regression.segments[0].rotor_source == "command"
+        commanded = self.noise.segments[0].rotor_source == "command"
         by_identity = {c.identity: c for c in self.accepted.fit.candidates}
         effects = []
         for one in self.named:
             candidate = by_identity[one.candidate.identity]
             name, rivals = candidate.effect.name, list(one.rivals)
-            rivals += seen_as([name, *rivals], self.regression.catalogue) if commanded else []
+            rivals += seen_as([name, *rivals], self.noise.catalogue) if commanded else []
             effects.append(
                 MissingEffect(
                     name=name,
@@ -78,37 +78,59 @@ class LikelihoodAnswer:
         """The vehicle without the named effects, its commands as they fit best then."""
         return fit_of(self.search, ()).vehicle
 
-    def without(self, refused: Sequence[Refused], dataset: Dataset) -> LikelihoodAnswer:
+    def without(self, refused: Sequence[Refused]) -> LikelihoodAnswer:
         """The answer without effects that are refused afterwards."""
         out = {(one.name, one.rotor) for one in refused}
         rest = tuple(one for one in self.named if one.candidate.identity not in out)
-        accepted = _accepted(self.search, self.regression, rest, dataset, (*self.accepted.refused, *refused))
+        accepted = _accepted(self.search, rest, (*self.accepted.refused, *refused))
         return replace(self, named=rest, accepted=accepted)
+
+    def with_noise(self, fits: Sequence[NoiseFit], *, slow: bool) -> LikelihoodAnswer:
+        """The answer with the noise beside what it leaves. slow: whether a slow force is noise."""
+        return replace(self, noise=replace(self.noise, fits=fits, slow=slow))
 
 
 def answer_by_likelihood(
-    first: Regression, dataset: Dataset, progress: Progress = no_progress, one_of: Collection[Identity] | None = None
+    dataset: Dataset,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    thresholds: Thresholds = DEFAULT,
+    progress: Progress = no_progress,
+    one_of: Collection[Identity] | None = None,
 ) -> LikelihoodAnswer:
     """Which effects are missing.
 
-    first: the regression about the vehicle's own model. one_of: effects, each on a rotor or none, of which one may be
-    missing beside corrections of the file's own; by default all of the catalogue may. Raises DataError where no
-    stationary filter has such readings.
+    one_of: effects, each on a rotor or none, of which one may be missing beside corrections of the file's own; by
+    default all of the catalogue may. Raises DataError where no stationary filter has such readings.
     """
-    problems = likelihood_problems(dataset, first)
+    problems = problems_of(dataset, vehicle, catalogue, thresholds)
     every = problems[0].what.all
     some = None if one_of is None else [i for i, c in enumerate(every) if c.identity in one_of]
     result = _identified(problems, progress, one_of=some)
-    testable = {c.identity for c in first.candidates}
-    sure, doubted = named_effects(result)
-    named = tuple(one for one in sure if one.candidate.identity in testable)
+    named, doubted = named_effects(result)
     refused = tuple(_refused(one, result.search.problem.thresholds.named) for one in doubted)
-    return _about_named(result, named, refused, first, dataset)
+    noise = ChannelNoise(dataset.fitted, result.problems, result.noise, thresholds)
+    return LikelihoodAnswer(result, named, noise, _accepted(result.search, named, refused))
 
 
-def answer_beside(
-    answer: LikelihoodAnswer, left: LeftOver, first: Regression, dataset: Dataset, progress: Progress = no_progress
-) -> LikelihoodAnswer:
+def noise_of(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
+) -> ChannelNoise:
+    """The noise of the fitted flights beside all that may be missing.
+
+    A slow force is none of it, unless an estimator made the pose: what drifts there looks like it. Raises DataError
+    where no stationary filter has such readings.
+    """
+    problems = problems_of(dataset, vehicle, catalogue, thresholds)
+    try:
+        fits = [likeliest(one, structures_of(one.flights[0].segment)) for one in problems]
+    except np.linalg.LinAlgError as error:
+        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
+    noise = ChannelNoise(dataset.fitted, problems, fits, thresholds)
+    return replace(noise, slow=noise.drifts)
+
+
+def answer_beside(answer: LikelihoodAnswer, left: LeftOver, progress: Progress = no_progress) -> LikelihoodAnswer:
     """An answer beside what it leaves, which may have passed for an effect, or for noise.
 
     Of its named effects remain those that leave little of what they make, and are likely beside that, by all of the
@@ -137,7 +159,8 @@ def answer_beside(
         elif one not in sure:
             log_odds = min(left.odds[one.number], _odds(result.search, [*sure, one], one))
             refused.append(_refused(Doubted(one.candidate, values[one.number], float(np.exp(log_odds)), 0.0), required))
-    return _about_named(result, named, refused, first, dataset)
+    noise = replace(answer.noise, problems=result.problems, fits=result.noise)
+    return LikelihoodAnswer(result, named, noise, _accepted(result.search, named, refused))
 
 
 def _odds(search: Search, named: Sequence[Named], one: Named) -> float:
@@ -154,15 +177,6 @@ def _identified(problems: Sequence[Problem], progress: Progress, **choices: Any)
         raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
 
 
-def _about_named(
-    result: Identified, named: tuple[Named, ...], refused: Sequence[Refused], first: Regression, dataset: Dataset
-) -> LikelihoodAnswer:
-    """The answer that names some effects of a result. first: the regression about the vehicle's own model."""
-    fitted = likelihood_fit(result.search, first, named)
-    regression = (about(first, fitted) if named else None) or first
-    return LikelihoodAnswer(result, named, regression, _accepted(result.search, regression, named, dataset, refused))
-
-
 def _refused(one: Doubted, log_odds: float) -> Refused:
     """Why an effect of the best set is not named. log_odds: that are required."""
     required, effect = float(np.exp(log_odds)), one.candidate.effect
@@ -173,42 +187,21 @@ def _refused(one: Doubted, log_odds: float) -> Refused:
     return Refused(effect.name, one.candidate.rotor, "too_small", detail, "", one.values)
 
 
-def about(regression: Regression, fitted: Fit) -> Regression | None:
-    """The regression about a fit, None where that cannot be followed. regression: about the vehicle's own model."""
-    held = _about_values(regression.candidates, fitted.candidates, fitted)
-    return about_fit(regression, held, _about_values(regression.nuisances, regression.nuisances, fitted))
-
-
-def _about_values(own: Sequence[Candidate], chosen: Sequence[Candidate], fitted: Fit) -> tuple[Candidate, ...]:
-    """Candidates, those that were fitted about their values. own: about the vehicle's own model."""
-    places = {c.columns for c in chosen}
-    return tuple(
-        c.about({n: v for (key, n), v in fitted.values.items() if key == c.key}) if c.columns in places else c
-        for c in own
-    )
-
-
-def likelihood_problems(dataset: Dataset, regression: Regression) -> list[Problem]:
-    """`problems_of` the fitted flights, about a regression's vehicle."""
-    return problems_of(dataset, regression.vehicle, regression.catalogue, regression.thresholds.likelihood)
-
-
 def problems_of(
-    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], limits: LikelihoodThresholds
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
 ) -> list[Problem]:
-    """The fitted flights of each kind of logs as its filter has them, and what may be missing in a vehicle."""
+    """The fitted flights of each kind of logs as its filter has them, and what may be missing in a vehicle.
+
+    Raises DataError where the vehicle's own model cannot be followed along them.
+    """
+    require_followed(vehicle, catalogue, dataset.fitted, thresholds.prediction)
+    limits = thresholds.likelihood
     vehicle, catalogue = with_command_effects(vehicle, catalogue, dataset.fitted)
     every = candidates(vehicle, catalogue, dataset.fitted)
     return [
         Problem(vehicle, catalogue, own, every.with_errors_of(own[0].segment), thresholds=limits)
         for own in rows_by_kind(dataset.fitted, dataset.flight_of, limits)
     ]
-
-
-def likelihood_fit(search: Search, regression: Regression, named: Sequence[Named]) -> Fit:
-    """Values of the named effects, which are a regression's candidates."""
-    fitted = fit_of(search, [one.number for one in named])
-    return replace(fitted, candidates=_in_regression(regression, named, None), nuisances=regression.nuisances)
 
 
 def fit_of(search: Search, members: Sequence[int]) -> Fit:
@@ -251,21 +244,5 @@ def _estimates(
     return made
 
 
-def _accepted(
-    search: Search, regression: Regression, named: Sequence[Named], dataset: Dataset, refused: Sequence[Refused]
-) -> Accepted:
-    """The named effects beside the floor of the held-out flights."""
-    fitted = likelihood_fit(search, regression, named)
-    return Accepted(fitted, tuple(refused), HeldOut(regression, dataset.held_out).floor(fitted.vehicle))
-
-
-def _in_regression(regression: Regression, named: Sequence[Named], fitted: Fit | None) -> tuple[Candidate, ...]:
-    """The regression's candidates of the named effects, in the order of the likelihood's: at the grid points that are
-    nearest their values. fitted: about which the regression is, None for the vehicle's own model."""
-    if fitted is not None:
-        return tuple(next(c for c in regression.candidates if c.columns == own.columns) for own in fitted.candidates)
-    made = []
-    for one in sorted(named, key=lambda each: each.number):
-        same = [c for c in regression.candidates if c.identity == one.candidate.identity]
-        made.append(min(same, key=lambda c: c.distance(one.candidate.at)))
-    return tuple(made)
+def _accepted(search: Search, named: Sequence[Named], refused: Sequence[Refused]) -> Accepted:
+    return Accepted(fit_of(search, [one.number for one in named]), tuple(refused))

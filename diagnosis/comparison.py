@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from diagnosis.by_likelihood import noise_of
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.evaluation import floor_norms, residuals, sensors_floor
+from diagnosis.estimation.channel_noise import ChannelNoise
+from diagnosis.estimation.evaluation import floor_norms, residuals
 from diagnosis.models import channels
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
@@ -26,8 +28,6 @@ from diagnosis.regimes import (
     regime_planes,
     worst_cells,
 )
-from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
@@ -75,7 +75,7 @@ class ComparisonDetails:
     residuals: (m, 12) of each segment.
     maps, planes: where the model fails.
     spectrum: of the residuals.
-    regression: of the fitted flights, for its noise.
+    noise: of the fitted flights.
     """
 
     comparison: Comparison
@@ -83,7 +83,7 @@ class ComparisonDetails:
     maps: tuple[Regime, ...]
     planes: tuple[Plane, ...]
     spectrum: Spectrum
-    regression: Regression
+    noise: ChannelNoise
 
 
 def compare_dataset(
@@ -95,23 +95,23 @@ def compare_dataset(
     """
     segments = dataset.everything
     require_answerable(segments, vehicle, thresholds)
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+    noise = noise_of(dataset, vehicle, catalogue, thresholds)
     rows = residuals(vehicle, catalogue, segments, thresholds=thresholds)
-    floor = regression.noise.floor
+    floor = noise.floor
     maps = regime_maps(segments, rows, floor, vehicle, thresholds.regimes)
     planes = regime_planes(segments, rows, floor, vehicle, thresholds.regimes)
-    spectrum = residual_spectrum(rows, regression.noise, regression.rate, thresholds)
+    spectrum = residual_spectrum(rows, noise)
     comparison = Comparison(
-        axes=_axes(rows, floor, sensors_floor(regression, vehicle, segments, floor)),
+        axes=_axes(rows, noise.floor_of(rows), noise.sensors),
         fails_where=worst_cells(maps, thresholds.regimes),
-        worst=_worst(segments, rows, regression),
+        worst=_worst(segments, rows, noise),
         open_loop=open_loop_errors(vehicle, catalogue, segments, thresholds.prediction),
         notes=dataset.notes,
         maps=tuple(map(regime_cells, maps)),
         planes=tuple(map(plane_cells, planes)),
         spectrum=spectrum_lines(spectrum),
     )
-    return ComparisonDetails(comparison, rows, maps, planes, spectrum, regression)
+    return ComparisonDetails(comparison, rows, maps, planes, spectrum, noise)
 
 
 def _axes(rows: Sequence[Floats], floor: Floats, sensors: Floats) -> tuple[AxisError, ...]:
@@ -123,7 +123,7 @@ def _axes(rows: Sequence[Floats], floor: Floats, sensors: Floats) -> tuple[AxisE
             rms=float(rms[3 * k + axis]),
             floor=float(floor[3 * k + axis]),
             unit=channels.UNITS[kind],
-            sensors=float(sensors[3 * k + axis]),
+            sensors=float(min(sensors[3 * k + axis], floor[3 * k + axis])),
         )
         for k, kind in enumerate(channels.KINDS)
         if by_kind[kind] > 0
@@ -148,8 +148,8 @@ def worst_window(
     return max(windows, key=lambda window: window[2])
 
 
-def _worst(segments: Sequence[Segment], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
-    duration = regression.thresholds.regimes.worst_window
-    index, place, level = worst_window(rows, regression.noise.floor, regression.rate, duration)
+def _worst(segments: Sequence[Segment], rows: Sequence[Floats], noise: ChannelNoise) -> WorstSeconds:
+    duration = noise.thresholds.regimes.worst_window
+    index, place, level = worst_window(rows, noise.floor, noise.rate, duration)
     segment = segments[index]
     return WorstSeconds(segment.flight, round(float(segment.decimated_times[place]), 2), round(level, 2))

@@ -8,27 +8,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.by_likelihood import LikelihoodAnswer, answer_beside, answer_by_likelihood
+from diagnosis.by_likelihood import LikelihoodAnswer, answer_beside, answer_by_likelihood, fit_of
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted
+from diagnosis.estimation.channel_noise import ChannelNoise
 from diagnosis.estimation.command_gain import command_gain
-from diagnosis.estimation.evaluation import (
-    reduced_chi_square,
-    residuals_in,
-    sensors_floor,
-)
+from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.fitted import Fit
+from diagnosis.estimation.held_out import HeldOut
+from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover
-from diagnosis.likelihood.gust import gust_in
+from diagnosis.likelihood.gust import Gust, gust_in
 from diagnosis.likelihood.held_out_score import held_out_score
 from diagnosis.likelihood.left_over import LeftOver, left_over
+from diagnosis.likelihood.named import Named
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
-from diagnosis.selection.regression import Regression
-from diagnosis.selection.regression_of_flights import make_regression
+from diagnosis.selection.candidates import Identity
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
 from diagnosis.tried import Tried, not_excited, tried_by_likelihood
 from diagnosis.verdict import (
@@ -44,6 +43,8 @@ from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights.followed import FollowedFlight
 
+REFUTING = ("another_form", "held_out_worse")
+
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisDetails:
@@ -51,9 +52,9 @@ class DiagnosisDetails:
 
     diagnosis: the answer.
     vehicle: with the missing effects at their fitted values.
-    regression: of the fitted flights.
+    noise: of the fitted flights.
     accepted: the named effects, and what was taken back.
-    before, after: (m, 12) residuals on the held-out segments.
+    before, after: (m, 12) residuals on the held-out segments. floor: (12,) of their noise.
     chi_square_before, chi_square_after: reduced, of the same.
     notes: what the user should know of the data.
     tried: every effect that the flights could show.
@@ -63,10 +64,11 @@ class DiagnosisDetails:
 
     diagnosis: Diagnosis
     vehicle: Vehicle
-    regression: Regression
+    noise: ChannelNoise
     accepted: Accepted
     before: list[Floats]
     after: list[Floats]
+    floor: Floats
     chi_square_before: float
     chi_square_after: float
     notes: tuple[str, ...]
@@ -87,25 +89,28 @@ def diagnose_dataset(
     thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
-    progress(0.05, "signals of the catalogue's effects")
-    first = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    answer, rest = _answered(first, dataset, part_of(progress, 0.35, 1.0))
-    regression, accepted, refused = answer.regression, answer.accepted, answer.accepted.refused
-    effects = _effects(answer, rest)
-    before = residuals_in(first, answer.vehicle_without, dataset.held_out)  # with biases by noise about no effects
-    after = residuals_in(regression, accepted.fit.vehicle, dataset.held_out)
+    progress(0.0, "flights")
+    answer, rest = _answered(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.05, 0.9))
+    gust = _gust(answer, rest)
+    answer = answer.with_noise(rest.noise, slow=gust is None)
+    accepted, refused = answer.accepted, answer.accepted.refused
+    effects = answer.missing()
+    if gust is not None:
+        effects = with_gust(effects, gust, sum(one.log_odds for one in answer.named))
+    judged = HeldOut(answer.noise, dataset.held_out)
+    before, after = judged.rows(answer.vehicle_without), judged.rows(accepted.fit.vehicle)
+    floor = judged.floor(accepted.fit.vehicle)
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
     if gain is not None:
         effects = _with_gain(effects, gain, dataset, thresholds, unknown=bool(rest.left))
     named = [one.number for one in answer.named]
     quiet, tried = not_excited(answer.search, named), tried_by_likelihood(answer.search, named)
-    maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
-    sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
-    left = leftover(rest.left, dataset.fitted, accepted.floor, vehicle, thresholds)
+    maps = regime_maps(dataset.held_out, before, answer.noise.floor, vehicle, thresholds.regimes)
+    left = leftover(rest.left, dataset.fitted, answer.noise.floor, vehicle, thresholds)
     diagnosis = Diagnosis(
         verdict=judge(effects, rest.left),
         effects=effects,
-        channels=channel_errors(before, after, accepted.floor, sensors),
+        channels=channel_errors(before, after, floor, judged.sensors(accepted.fit.vehicle)),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight(effects, left, refused, quiet, catalogue),
@@ -120,44 +125,81 @@ def diagnose_dataset(
     return DiagnosisDetails(
         diagnosis=diagnosis,
         vehicle=without_command_effects(accepted.fit.vehicle),
-        regression=regression,
+        noise=answer.noise,
+        floor=floor,
         accepted=accepted,
         before=before,
         after=after,
-        chi_square_before=reduced_chi_square(before, regression.noise),
-        chi_square_after=reduced_chi_square(after, regression.noise),
-        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
+        chi_square_before=reduced_chi_square(before, floor),
+        chi_square_after=reduced_chi_square(after, floor),
+        notes=(*_notes(dataset, accepted.fit), *_not_followed(answer)),
         tried=tried,
         likelihood=answer,
     )
 
 
-def _answered(first: Regression, dataset: Dataset, progress: Progress) -> tuple[LikelihoodAnswer, LeftOver]:
-    """The likelihood's answer, and what it leaves of the flights. first: about the vehicle's own model."""
-    answer = answer_by_likelihood(first, dataset, part_of(progress, 0.0, 0.6))
+def _answered(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds, progress: Progress
+) -> tuple[LikelihoodAnswer, LeftOver]:
+    """The likelihood's answer, and what it leaves of the flights; what refuted effects made is left as well."""
+    answer = answer_by_likelihood(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.6))
     progress(0.6, "what no effect explains")
     left = left_over(answer.result)
     if left.left:
-        answer = answer_beside(answer, left, first, dataset, part_of(progress, 0.7, 0.9))
-        refuted = {(one.name, one.rotor) for one in answer.accepted.refused if one.reason == "another_form"}
-        if refuted:  # what those made is left as well
+        answer = answer_beside(answer, left, part_of(progress, 0.7, 0.8))
+        if refuted := _refuted(answer):
             left = left_over(answer.result, refuted)
+    borne_out = _borne_out(answer.with_noise(left.noise, slow=_gust(answer, left) is None), dataset)
+    if borne_out.named != answer.named:
+        progress(0.8, "what is left without effects that other flights refute")
+        left = left_over(answer.result, _refuted(borne_out))
+        answer = answer_beside(borne_out, left, part_of(progress, 0.8, 0.9)) if left.left else borne_out
     return answer, left
 
 
-def _effects(answer: LikelihoodAnswer, left: LeftOver) -> tuple[MissingEffect, ...]:
-    """The named effects, and a gust beside them. left: beside these."""
+def _refuted(answer: LikelihoodAnswer) -> set[Identity]:
+    """Effects that the form of what is left, or held-out flights, refute."""
+    return {(one.name, one.rotor) for one in answer.accepted.refused if one.reason in REFUTING}
+
+
+def _borne_out(answer: LikelihoodAnswer, dataset: Dataset) -> LikelihoodAnswer:
+    """The answer without effects with which an error of the held-out flights rises by more than chance.
+
+    What fits one set of flights and not the next is no physics, however sure the model of the noise makes it. The worst
+    is taken back first.
+    """
+    judged = HeldOut(answer.noise, dataset.held_out)
+    while answer.named and judged.worse_channels(answer.vehicle_without, answer.accepted.fit.vehicle):
+        rises = [
+            (change.rise, kind, change, one)
+            for one in answer.named
+            for kind, change in judged.worse_channels(_without(answer, one), answer.accepted.fit.vehicle).items()
+        ]
+        if not rises:
+            break
+        _, kind, change, one = max(rises, key=lambda each: each[0])
+        detail = {"before": change.before, "after": change.after}
+        own, values = one.candidate, answer.search.named_values(answer.result.best)[one.number]
+        answer = answer.without([Refused(own.effect.name, own.rotor, "held_out_worse", detail, kind, values)])
+    return answer
+
+
+def _without(answer: LikelihoodAnswer, one: Named) -> Vehicle:
+    """The vehicle with the other named effects, their values as they fit best then."""
+    return fit_of(answer.search, [each.number for each in answer.named if each is not one]).vehicle
+
+
+def _gust(answer: LikelihoodAnswer, left: LeftOver) -> Gust | None:
+    """A gust that is surely there. left: beside the named effects."""
     gust = gust_in(answer.result.problems, left)
-    if gust is None or gust.log_odds < answer.search.problem.thresholds.named:
-        return answer.missing()
-    return with_gust(answer.missing(), gust, sum(one.log_odds for one in answer.named))
+    return None if gust is None or gust.log_odds < answer.search.problem.thresholds.named else gust
 
 
-def _not_followed(regression: Regression) -> list[str]:
+def _not_followed(answer: LikelihoodAnswer) -> list[str]:
     """A note on effects that these logs are too slow for."""
-    if not regression.not_followed:
+    if not answer.search.what.not_followed:
         return []
-    names, rate = ", ".join(regression.not_followed), regression.segments[0].rate
+    names, rate = ", ".join(answer.search.what.not_followed), answer.noise.segments[0].rate
     return [f"not tried, since logs of {rate:.0f} Hz are too slow for its hidden states: {names}"]
 
 

@@ -10,10 +10,9 @@ import msgspec
 import numpy as np
 
 from diagnosis.addition import ADVICE
-from diagnosis.by_likelihood import NO_FILTER, fit_of, problems_of
+from diagnosis.by_likelihood import NO_FILTER, fit_of, noise_of, problems_of
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.evaluation import sensors_floor
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.in_flight import (
     FollowedGroup,
@@ -26,7 +25,6 @@ from diagnosis.in_flight import (
 )
 from diagnosis.likelihood.given_set import fit_set
 from diagnosis.report import ChannelError, ParameterValue
-from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT, InFlightThresholds
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
@@ -250,21 +248,19 @@ def _errors(
     try:
         require_answerable(dataset.everything, vehicle)
         before, after = (_as_flown(which, catalogue, dataset, air) for which in (vehicle, changed))
+        noise = noise_of(dataset, vehicle, catalogue)
     except DataError as error:
         return {}, (f"the errors before and after were not compared: {error}",)
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
-    judge = HeldOut(regression, dataset.everything)
+    judge = HeldOut(noise, dataset.everything)
     if worse := judge.worse_channels(before, after):
         listed = "; ".join(f"{where}: {c.before:.4g} before, {c.after:.4g} after" for where, c in worse.items())
         raise DataError(f"nothing was added: with what was followed, an error of the flight rises ({listed}). {ADVICE}")
-    floor = judge.floor(after)
-    sensors = sensors_floor(regression, after, dataset.everything, floor)
-    return dict(channel_errors(judge.rows(before), judge.rows(after), floor, sensors)), ()
+    return channel_errors(judge.rows(before), judge.rows(after), judge.floor(after), judge.sensors(after)), ()
 
 
 def _as_flown(vehicle: Vehicle, catalogue: Mapping[str, Effect], dataset: Dataset, air: Sequence[str]) -> Vehicle:
     """A vehicle with the effects of the air, and what lies between its commands and thrust, that fit a flight best."""
-    problems = problems_of(dataset, vehicle, catalogue, DEFAULT.likelihood)
+    problems = problems_of(dataset, vehicle, catalogue)
     what = problems[0].what
     blowing = [number for number, candidate in enumerate(what.all) if candidate.key in air]
     if not blowing and not what.of_commands:

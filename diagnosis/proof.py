@@ -8,11 +8,10 @@ import msgspec
 
 from diagnosis.addition import horizons_of
 from diagnosis.addition_report import OpenLoop
+from diagnosis.by_likelihood import noise_of
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.evaluation import sensors_floor
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.report import ChannelError
-from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.errors import RequestError
@@ -51,14 +50,12 @@ def prove_versions(
         advice = "Give two versions of one vehicle's file."
         raise RequestError(f"{first.name} has {counts[0]} rotors and {present.name} has {counts[1]}. {advice}")
     progress(0.1, "noise of the flights")
-    regression = make_regression(first, catalogue, dataset.fitted, dataset.flight_of)
-    judge = HeldOut(regression, dataset.held_out)
+    judge = HeldOut(noise_of(dataset, first, catalogue), dataset.held_out)
     progress(0.6, "predictions of both versions")
-    floor = judge.floor(present)
-    sensors = sensors_floor(regression, present, dataset.held_out, floor)
+    floor, sensors = judge.floor(present), judge.sensors(present)
     return Proof(
         effects=tuple(use.label for use in present.effects),
         held_out=tuple(dict.fromkeys(segment.flight for segment in dataset.held_out)),
-        channels=dict(channel_errors(judge.rows(first), judge.rows(present), floor, sensors)),
+        channels=channel_errors(judge.rows(first), judge.rows(present), floor, sensors),
         open_loop=OpenLoop(horizons_of(judge, first), horizons_of(judge, present)),
     )

@@ -9,10 +9,11 @@ import msgspec
 import numpy as np
 import scipy
 
+from diagnosis.estimation.channel_noise import ChannelNoise
 from diagnosis.models.channels import AXES, CHANNELS, KINDS
-from diagnosis.selection.noise import NoiseModel
-from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
+
+SPECTRUM_ROWS = 128  # of a periodogram
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +21,7 @@ class Spectrum:
     """Power densities of the channels, NaN for channels that are absent.
 
     frequency: (f,) Hz.
-    power, noise: (12, f) one-sided density of residual and noise model, unit^2/Hz.
+    power, noise: (12, f) one-sided density of residual and noise, unit^2/Hz.
     """
 
     frequency: Floats
@@ -36,21 +37,17 @@ class SpectrumLines(msgspec.Struct, frozen=True):
     noise: dict[str, list[float]]
 
 
-def residual_spectrum(
-    rows: Sequence[Floats], noise: NoiseModel, rate: float, thresholds: Thresholds = DEFAULT
-) -> Spectrum:
-    """Spectra below the filters' cutoff. rows: (m, 12) residuals of each segment at rate Hz."""
-    length = min(thresholds.noise.spectrum_rows, *(len(r) for r in rows))
-    spectra = [scipy.signal.welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
+def residual_spectrum(rows: Sequence[Floats], noise: ChannelNoise) -> Spectrum:
+    """Spectra below the filters' cutoff. rows: (m, 12) residuals of each segment."""
+    length = min(SPECTRUM_ROWS, *(len(r) for r in rows))
+    spectra = [scipy.signal.welch(r, noise.rate, nperseg=length, detrend=False, axis=0) for r in rows]
     frequency = spectra[0][0]
     weights = np.array([len(r) for r in rows], dtype=float)
     power = np.average([p for _, p in spectra], axis=0, weights=weights).T
-    model = np.full_like(power, np.nan)
-    for channel, filter_, level in zip(noise.active, noise.filters, noise.level, strict=True):
-        response = scipy.signal.freqz(1.0, filter_, worN=frequency, fs=rate)[1]
-        model[channel] = 2 * level**2 / rate * np.abs(response) ** 2
-    power[np.isnan(model[:, 0])] = np.nan
-    below = frequency <= thresholds.filters.cutoff
+    model = 2 * noise.density(np.maximum(frequency, frequency[1] / 2))
+    absent = noise.floor == 0
+    power[absent] = model[absent] = np.nan
+    below = frequency <= noise.segments[0].filters.cutoff
     return Spectrum(frequency[below], power[:, below], model[:, below])
 
 

@@ -201,7 +201,7 @@ def _problems(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect
     """All segments, and as candidates the effects that stand for constants and those of the vehicle file."""
     every = replace(dataset, fitted=dataset.everything, flight_of=_flights(dataset), held_out=())
     own = {use.name: catalogue[use.name] for use in vehicle.effects}
-    return problems_of(every, vehicle, {**own, **EFFECTS}, DEFAULT.likelihood)
+    return problems_of(every, vehicle, {**own, **EFFECTS})
 
 
 def _identified(problems: Sequence[Problem], members: Sequence[int], noise: Sequence[NoiseFit]) -> Identified:

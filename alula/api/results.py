@@ -84,7 +84,7 @@ class DiagnosisResult:
     report: the verdict, the effects with their values, errors before and after, what to fly next.
     vehicle: whose model was diagnosed, without the effects.
     dataset: the segments of flight, fitted and held out.
-    details: the regression and the residuals behind the report, and the vehicle with the effects.
+    details: the noise and the residuals behind the report, and the vehicle with the effects.
     """
 
     report: Diagnosis

@@ -127,7 +127,7 @@ def diagnose(
     if html is not None:
         from studio.pages.report import add_command
 
-        adding = add_command(result.report, logs, vehicle, shared, result.details.regression.catalogue)
+        adding = add_command(result.report, logs, vehicle, shared, result.details.noise.catalogue)
         result.write_html(html, add_command=adding)
     if figures is not None:
         print_written(result.write_pictures(figures), figures)
@@ -166,7 +166,7 @@ def _following(
     result: DiagnosisResult, logs: list[Path], vehicle: str, shared: Sequence[tuple[str, Any]]
 ) -> list[object]:
     """Next command: add what a vehicle file can hold, fly for what is open, look where nothing fits."""
-    catalogue, report = result.details.regression.catalogue, result.report
+    catalogue, report = result.details.noise.catalogue, result.report
     own_effects = next(value for name, value in shared if name == "--effects")
     if report.verdict == "ambiguous" and report.next_reference:
         return _flying(vehicle, report.next_reference, own_effects)

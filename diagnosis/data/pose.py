@@ -23,12 +23,12 @@ def pose_source(flight: Flight, thresholds: Thresholds = DEFAULT) -> PoseSource:
         return flight.pose_source
     limits, origin = thresholds.pose, flight.origins.get("velocity")
     rate = flight.rate if origin is None else min(flight.rate, origin.rate)
-    low = thresholds.noise.sensor_band[0] * thresholds.filters.cutoff
-    band = low, min(thresholds.noise.sensor_band[1] * thresholds.filters.cutoff, thresholds.noise.sensor_share * rate)
-    parts = [part for part in flight.segments() if len(part) >= 4 * thresholds.noise.sensor_rows]
+    low = limits.sensor_band[0] * thresholds.filters.cutoff
+    band = low, min(limits.sensor_band[1] * thresholds.filters.cutoff, limits.sensor_share * rate)
+    parts = [part for part in flight.segments() if len(part) >= 4 * limits.sensor_rows]
     if band[1] <= band[0] or not parts:
         return "unknown"
-    coherent = [_coherence(part, band, thresholds.noise.sensor_rows) for part in parts]
+    coherent = [_coherence(part, band, limits.sensor_rows) for part in parts]
     return "estimator" if float(np.median(coherent)) > limits.min_coherence else "unknown"
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from diagnosis.estimation.fitted import Fit, with_candidates
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.selection.candidates import Candidate
-from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
 
@@ -17,12 +16,10 @@ class Accepted:
 
     fit: of them.
     refused: what was likely or taken back, and is not among them.
-    floor: (12,) noise floor of the held-out flights.
     """
 
     fit: Fit
     refused: tuple[Refused, ...]
-    floor: Floats
 
 
 def refused_of(fitted: Fit, candidate: Candidate, reason: Reason, where: str = "", **detail: float) -> Refused:

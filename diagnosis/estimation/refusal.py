@@ -8,7 +8,7 @@ import msgspec
 
 from diagnosis.models.channels import NAMES
 
-Reason = Literal["too_small", "unsure", "open_loop_alike", "another_form"]
+Reason = Literal["too_small", "unsure", "held_out_worse", "open_loop_alike", "another_form"]
 HINTS: tuple[Reason, ...] = ("unsure",)
 
 
@@ -51,6 +51,10 @@ def reason_of(refused: Refused) -> str:
             text = (
                 f"it is {number['odds']} times as likely as not beside the others, and {number['required']} times are "
                 "required"
+            )
+        case "held_out_worse":
+            text = (
+                f"with it an error of the held-out flights rises: {where} from {number['before']} to {number['after']}"
             )
         case "open_loop_alike":
             text = (

@@ -55,12 +55,14 @@ class Candidates:
     """Effects that may be missing, each at points about which it is linear.
 
     columns: of all, one after another. discrepancies: what no effect is, asked beside a set; its columns are the last.
+    not_followed: effects that are left out at all points of their grids, since these logs' rate is too low for them.
     """
 
     all: tuple[Candidate, ...]
     columns: tuple[Column, ...]
     nuisances: tuple[Nuisance, ...]
     discrepancies: tuple[Discrepancy, ...] = ()
+    not_followed: tuple[str, ...] = ()
 
     def places(self, number: int) -> list[int]:
         """Columns of a candidate."""
@@ -106,7 +108,7 @@ class Starts:
 
 def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]) -> Candidates:
     """The effects that these flights could show: at each grid point where they are not linear, once where they are."""
-    every, taken = [], set()
+    every, taken, lost = [], set(), set()
     possible = make_candidates(vehicle, catalogue, segments)
     for candidate in sorted(possible, key=lambda c: c.effect.name in COMMAND_EFFECTS):
         effect = candidate.effect
@@ -114,18 +116,18 @@ def candidates(vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequ
             if candidate.key in taken:
                 continue
             at = candidate.present or {p.name: p.neutral for p in effect.parameters}
-            candidate = Candidate(effect, candidate.rotor, at, tuple(at), (), candidate.present)
+            candidate = Candidate(effect, candidate.rotor, at, tuple(at), candidate.present)
         if effect.rotor_speed is not None and candidate.present is not None:
             if candidate.key in taken:
                 continue
-            candidate = Candidate(
-                effect, candidate.rotor, candidate.present, effect.time_constants, (), candidate.present
-            )
+            candidate = Candidate(effect, candidate.rotor, candidate.present, effect.time_constants, candidate.present)
         if has_states(effect) and not _is_followed(candidate, vehicle, catalogue, segments):
+            lost.add(effect.name)
             continue
         taken.add(candidate.key)
         every.append(candidate)
-    return Candidates(tuple(every), _columns(every), nuisances(segments[0]))
+    lost -= {candidate.effect.name for candidate in every}
+    return Candidates(tuple(every), _columns(every), nuisances(segments[0]), not_followed=tuple(sorted(lost)))
 
 
 def nuisances(segment: Segment) -> tuple[Nuisance, ...]:
@@ -166,7 +168,7 @@ def about(
             grid = [name for name in candidate.effect.refine if name not in candidate.free]
             at = {**candidate.at, **{name: values[name] for name in grid if name in values}}
             free = (*candidate.free, *grid)
-            every[number] = Candidate(candidate.effect, candidate.rotor, at, free, (), candidate.present)
+            every[number] = Candidate(candidate.effect, candidate.rotor, at, free, candidate.present)
     starts = _starts(FlightModel(vehicle, fitted_uses(vehicle, every, fitted), catalogue))
     return replace(what, all=tuple(every), columns=_columns(every), nuisances=(*what.nuisances, *starts))
 

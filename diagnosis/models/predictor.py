@@ -76,7 +76,7 @@ class Predictor:
     def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
         """The model's prediction along a segment."""
         p, ages = self._values_and_ages(changed)
-        outputs = self._evaluated(self._functions.evaluate, _at_age(segment, ages[2]), p, None, None)
+        outputs = self._evaluated(self._functions.evaluate, _at_age(segment, ages[2]), p)
         return Prediction.from_outputs(outputs[:, 0], ages)
 
     def slopes(
@@ -84,33 +84,24 @@ class Predictor:
         segment: Segment,
         changed: Mapping[str, float] | None = None,
         *,
-        rotor_speed: Floats | None = None,
-        rotor_acceleration: Floats | None = None,
         free: Sequence[str] | None = None,
     ) -> list[Prediction]:
-        """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones.
-
-        free: those of these parameters alone.
-        """
+        """Derivatives of the prediction in each free parameter. free: those of these parameters alone."""
         names = self.free if free is None else tuple(free)
         p, ages = self._values_and_ages(changed)
-        slopes, moved = _functions_of(self.model, names).slopes, _at_age(segment, ages[2])
-        parts = self._evaluated(slopes, moved, p, rotor_speed, rotor_acceleration)
+        parts = self._evaluated(_functions_of(self.model, names).slopes, _at_age(segment, ages[2]), p)
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
 
-    def _evaluated(
-        self, function: RowFunction, segment: Segment, p: Floats, speed: Floats | None, acceleration: Floats | None
-    ) -> Floats:
+    def _evaluated(self, function: RowFunction, segment: Segment, p: Floats) -> Floats:
         """(n, k, 12) outputs of a function, or their slopes.
 
         The logged rotor speeds act on velocities and rates by their mean over the periods about a row. An accelerometer
         reads the rotors of its instant.
         """
-        values = _by_prediction(function(*self._arguments(segment, p, speed, acceleration)))
-        if speed is not None or segment.rotor_share is None:
+        values = _by_prediction(function(*self._arguments(segment, p, segment.rotor_speed)))
+        if segment.rotor_share is None:
             return values
-        arguments = self._arguments(segment, p, segment.mean_rotor_speed, acceleration)
-        of_means = _by_prediction(function(*arguments))
+        of_means = _by_prediction(function(*self._arguments(segment, p, segment.mean_rotor_speed)))
         for place in BY_MEANS:
             values[:, :, place] = of_means[:, :, place]
         return values
@@ -201,18 +192,8 @@ class Predictor:
         own = p[self._functions.hidden_parameters].tobytes(), initial.tobytes()
         return (self._functions.hidden_slope, *own, stride, self.substeps(stride / segment.rate, p))
 
-    def rotor_speed(self, segment: Segment, p: Floats | None = None) -> Floats:
-        """(n, rotors) speeds of the rotors, rad/s: those of the log, or behind these where the model has their lag."""
-        places, values = self.model.rotor_speed_places, self.values() if p is None else p
-        moved = _at_age(segment, self._rotor_age(values))
-        return np.asarray(self._states(moved, values)[:, places[-1]]) if places else moved.rotor_speed
-
-    def _arguments(
-        self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
-    ) -> list[Floats]:
-        speed = segment.rotor_speed if rotor_speed is None else rotor_speed
-        acceleration = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
-        angular = segment.angular_acceleration
+    def _arguments(self, segment: Segment, p: Floats, speed: Floats) -> list[Floats]:
+        acceleration, angular = segment.rotor_acceleration, segment.angular_acceleration
         return [self._states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
 
     def substeps(self, period: float, p: Floats) -> int | None:

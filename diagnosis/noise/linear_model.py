@@ -12,9 +12,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 
+Complex = NDArray[np.complexfloating]
 ABSENT: Floats = np.zeros(0)
 
 
@@ -53,15 +55,28 @@ class LinearModel:
             if len(set(names)) < len(names):
                 raise ValueError(f"a name occurs twice among {', '.join(names)}; give each its own.")
 
-    def density(self, frequency: Floats, period: float) -> Floats:
+    def transfer(self, frequency: Floats) -> Complex:
+        """(f, m, k) transfer function G = H (i omega - F)^-1 L + D at frequencies, Hz."""
+        shifted = 2j * np.pi * frequency[:, None, None] * np.eye(len(self.states)) - self.F
+        driven = np.linalg.solve(shifted, np.broadcast_to(self.L, (len(frequency), *self.L.shape)))
+        return np.asarray(self.H @ driven + self.D)
+
+    def density(self, frequency: Floats, period: float) -> Complex:
         """(f, m, m) cross power density of the outputs, unit^2/Hz, at frequencies, Hz; readings every `period` s.
 
-        G Qc G* with the transfer function G = H (i omega - F)^-1 L + D, and R period of a white sequence.
+        G Qc G* with the transfer function G, and R period of a white sequence.
         """
-        shifted = 2j * np.pi * frequency[:, None, None] * np.eye(len(self.states)) - self.F
-        transfer = self.H @ np.linalg.solve(shifted, np.broadcast_to(self.L, (len(frequency), *self.L.shape))) + self.D
+        transfer = self.transfer(frequency)
         density = (transfer * self.Qc) @ transfer.conj().transpose(0, 2, 1)
         return np.asarray(density + np.diag(self.R) * period)
+
+    def density_of(self, operator: Complex, frequency: Floats, period: float) -> Floats:
+        """(f, c) power density of linear functions (f, c, m) of the outputs.
+
+        As a sum of squares: what a function leaves out of an output may be far larger than what it leaves in.
+        """
+        driven = np.abs(operator @ self.transfer(frequency)) ** 2 @ self.Qc
+        return np.asarray(driven + np.abs(operator) ** 2 @ self.R * period)
 
     def start_covariance(self) -> Floats:
         """(n, n) covariance of the states at the start: F P + P F' + L Qc L' = 0 where they are stationary.

@@ -1,29 +1,21 @@
-"""The effects that might be missing, as columns of a regression: linearised about the present model.
+"""The effects that might be missing, linearised about the present model.
 
 Columns come from the effects' own expressions. An effect that is linear in some of its parameters gives one column
 for each of them and is tried on a grid of the others; an effect whose parameters are all held gives one column, a
-fixed-shape regressor: the difference that it makes, whose coefficient must be near 1. An effect that the vehicle file
-names already is a candidate for a correction: what is regressed is the difference that other values make.
-
-Under feedback the controller responds to turbulence within 30 ms, so rotor speeds are correlated with the disturbance
-and the moments of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the
-rotors' moments from slow measured motion; those for estimation and evaluation are the plain ones.
+fixed shape: the difference that it makes. An effect that the vehicle file names already is a candidate for a
+correction: what is sought is the difference that other values make.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import difference, slow
 from diagnosis.data.segment import Segment
-from diagnosis.models.command_effects import COMMAND_EFFECTS
-from diagnosis.models.predictor import Predictor
 from diagnosis.selection.visibility import can_show
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
-from dynamics.arrays import Floats
 from dynamics.effect import Effect, Span
 from dynamics.vehicle import EffectUse, Vehicle
 
@@ -37,24 +29,19 @@ class Candidate:
     effect: of the catalogue.
     rotor: that it acts on, if it is an effect of one rotor.
     at: values about which it is linear, of all parameters.
-    free: parameters that are regressed.
-    columns: places of its columns in the regression.
+    free: parameters in which it is linear, and whose values are sought.
     present: values in the vehicle file, where it names the effect; without them the effect is absent.
-    fitted: values about which it is linear instead, those of an earlier fit that holds it; the coefficients still
-        count from `at`.
     """
 
     effect: Effect
     rotor: int | None
     at: Mapping[str, float]
     free: tuple[str, ...]
-    columns: tuple[int, ...]
     present: Mapping[str, float] | None = None
-    fitted: Mapping[str, float] | None = None
 
     @property
     def fixed_shape(self) -> bool:
-        """Whether all its parameters are held, and its size is regressed."""
+        """Whether all its parameters are held."""
         return not self.free
 
     @property
@@ -86,19 +73,7 @@ class Candidate:
 
     def use(self) -> EffectUse:
         """The effect at the values about which it is linear."""
-        return EffectUse(self.effect.name, {**self.at, **(self.fitted or {})}, self.rotor)
-
-    def about(self, fitted: Mapping[str, float]) -> Candidate:
-        """Candidate, linear about the values of a fit that holds it."""
-        held = {name: fitted.get(name, value) for name, value in self.at.items() if name not in self.free}
-        return replace(self, at={**self.at, **held}, fitted={**self.at, **fitted})
-
-    @property
-    def coefficients(self) -> list[float]:
-        """Its coefficients in the model that is linearised: zeros, or those of the fit that holds it."""
-        if self.fitted is None:
-            return [0.0] * len(self.columns)
-        return [self.fitted[name] - self.at[name] for name in self.free] or [1.0]
+        return EffectUse(self.effect.name, dict(self.at), self.rotor)
 
 
 def make_candidates(
@@ -110,7 +85,6 @@ def make_candidates(
     """All effects that these flights could show, at each point of their grids, in the order of the catalogue."""
     span, min_lag = _span(segments), thresholds.min_lag_rows / min(s.rate for s in segments)
     candidates: list[Candidate] = []
-    count = 0
     for effect in catalogue.values():
         if effect.stochastic or not can_show(effect, segments, vehicle, catalogue):
             continue
@@ -118,9 +92,7 @@ def make_candidates(
             own = next((u for u in vehicle.effects if (u.name, u.rotor) == (effect.name, rotor)), None)
             present = None if own is None else {**effect.defaults(vehicle), **own.parameters}
             for at, free in _grid(effect, present, _resolved(effect, vehicle, span, min_lag)):
-                width = max(1, len(free))
-                candidates.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width)), present))
-                count += width
+                candidates.append(Candidate(effect, rotor, at, free, present))
     return tuple(candidates)
 
 
@@ -157,94 +129,9 @@ def _grid(
     return [({**present, **held}, ()) for held in others if any(held[n] != present[n] for n in names)]
 
 
-def scales_rotors(candidate: Candidate) -> bool:
-    """Whether a candidate's columns are the rotors' forces, which feedback correlates with the disturbance."""
-    effect = candidate.effect
-    return effect.physics is not None or effect.acts_on == "command_gain" or effect.name in COMMAND_EFFECTS
-
-
-def shifts_rotors(candidate: Candidate) -> bool:
-    """Whether a candidate's columns are the rotors' forces earlier or later, with which feedback correlates, too."""
-    return candidate.effect.rotor_speed is not None or candidate.effect.acts_on == "rotor_clock"
-
-
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
     """The vehicle file's effects except this one."""
     return tuple(u for u in vehicle.effects if (u.name, u.rotor) != (candidate.effect.name, candidate.rotor))
-
-
-def without_lag(uses: Sequence[EffectUse], catalogue: Mapping[str, Effect]) -> list[EffectUse]:
-    """Effects but a lag of the rotors, so that the rotors turn at the speeds that are given."""
-    return [use for use in uses if catalogue[use.name].rotor_speed is None]
-
-
-def make_predictor(
-    vehicle: Vehicle,
-    catalogue: Mapping[str, Effect],
-    candidate: Candidate,
-    segment: Segment,
-    thresholds: PredictionThresholds = DEFAULT.prediction,
-) -> Predictor:
-    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid."""
-    return Predictor(
-        vehicle,
-        [*without(vehicle, candidate), candidate.use()],
-        catalogue,
-        [f"{candidate.key}.{name}" for name in candidate.free],
-        speed_measured=segment.rotor_source == "measured",
-        thresholds=thresholds,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Instruments:
-    """Rotor speeds with the thrust of the logged ones and the moment of slow measured motion.
-
-    rotor_speed: (n, rotors) rad/s.
-    logged: (n, rotors) those that give its thrust, rad/s.
-    rotor_acceleration: (n, rotors) of the logged speeds, below the slow cutoff, rad/s^2.
-    """
-
-    rotor_speed: Floats
-    logged: Floats
-    rotor_acceleration: Floats
-
-
-def make_instruments(
-    segment: Segment,
-    vehicle: Vehicle,
-    rotor_speed: Floats | None = None,
-    cutoff: float | None = None,
-    *,
-    slow_thrust: bool = False,
-) -> Instruments:
-    """Instruments of a segment.
-
-    rotor_speed: (n, rotors) that give its thrust, by default the logged ones, rad/s.
-    cutoff: below which motion is slow, by default that of detection, Hz.
-    slow_thrust: whether the thrust, too, is that below the cutoff.
-    """
-    turned = segment.rotor_speed if rotor_speed is None else rotor_speed
-    limit = segment.filters.slow_cutoff if cutoff is None else cutoff
-    moment, rotor_acceleration = _slow_motion(segment, vehicle, limit)
-    allocation = vehicle.rotors.allocation
-    thrust = turned**2 @ allocation[0]
-    if slow_thrust:
-        thrust = slow(thrust, segment.rate, limit)
-    wrench = np.column_stack([thrust, moment])
-    speed = np.sqrt(np.maximum(wrench @ np.linalg.pinv(allocation).T, 0.0))
-    return Instruments(speed, turned, rotor_acceleration)
-
-
-def _slow_motion(segment: Segment, vehicle: Vehicle, cutoff: float) -> tuple[Floats, Floats]:
-    """(n, 3) moment, N m, of a segment's motion below a cutoff, Hz, and (n, rotors) acceleration of its logged speeds,
-    rad/s^2."""
-    inertia = np.array(vehicle.body.inertia)
-    turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate
-    rate = slow(turning, segment.rate, cutoff)
-    moment = inertia * slow(difference(turning, segment.rate), segment.rate, cutoff)
-    moment += np.cross(rate, inertia * rate)
-    return moment, slow(segment.rotor_acceleration, segment.rate, cutoff)
 
 
 def _span(segments: Sequence[Segment]) -> Span:

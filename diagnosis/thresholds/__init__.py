@@ -29,14 +29,12 @@ from diagnosis.thresholds.readings import (
     DataChecks,
     DatasetThresholds,
     FilterThresholds,
-    NoiseThresholds,
     PoseThresholds,
     PredictionThresholds,
     RotorHoldThresholds,
     RotorMomentChecks,
     SegmentThresholds,
 )
-from diagnosis.thresholds.searching import RegressionThresholds
 
 
 class Thresholds(ThresholdGroup, frozen=True):
@@ -50,9 +48,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     rotor_moments: RotorMomentChecks = RotorMomentChecks()
     rotor_hold: RotorHoldThresholds = RotorHoldThresholds()
     prediction: PredictionThresholds = PredictionThresholds()
-    noise: NoiseThresholds = NoiseThresholds()
     pose: PoseThresholds = PoseThresholds()
-    regression: RegressionThresholds = RegressionThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
     likelihood: LikelihoodThresholds = LikelihoodThresholds()
@@ -77,11 +73,9 @@ __all__ = [
     "HoverTrimThresholds",
     "InFlightThresholds",
     "LikelihoodThresholds",
-    "NoiseThresholds",
     "PoseThresholds",
     "PredictionThresholds",
     "RegimeThresholds",
-    "RegressionThresholds",
     "RelevanceThresholds",
     "RotorHoldThresholds",
     "RotorMomentChecks",

@@ -20,28 +20,25 @@ from diagnosis.thresholds.group import (
 
 
 class FilterThresholds(ThresholdGroup, frozen=True):
-    """Filters on both sides of the regression. Applied when flights are read.
+    """Filters of residuals, on both sides of the equation. Applied when flights are read.
 
     cutoff: of the low-pass on both sides, Hz. [margins: half]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [margins: double]
-    command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
-    [docs/lab/diagnosis.md, instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [formula: the low-pass has fallen to 0.3 % of its peak]
     """
 
     cutoff: Positive = 8.0
     slow_cutoff: Positive = 1.5
-    command_cutoff: Positive = 0.75
     rate: Positive = 25.0
     edge: Positive = 0.3
 
     def __post_init__(self) -> None:
         """Check that decimation does not alias what the filters pass."""
-        if not max(self.slow_cutoff, self.command_cutoff) < self.cutoff < self.rate / 2:
+        if not self.slow_cutoff < self.cutoff < self.rate / 2:
             raise ValueError(
-                f"slow_cutoff {self.slow_cutoff:g} and command_cutoff {self.command_cutoff:g} must be below "
-                f"cutoff {self.cutoff:g}, and that below half the rate {self.rate / 2:g} Hz"
+                f"slow_cutoff {self.slow_cutoff:g} must be below cutoff {self.cutoff:g}, and that below half the rate "
+                f"{self.rate / 2:g} Hz"
             )
 
 
@@ -293,63 +290,29 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     free_start_difference: Positive = 0.05
 
 
-class NoiseThresholds(ThresholdGroup, frozen=True):
-    """Noise of the residual channels.
-
-    order: of the autoregressive models. [margins: both]
-    reference_band: its level caps the spectrum below it, where missing effects show, Hz. [decisions: the noise floor]
-    spectrum_rows: of a periodogram. [margins: neither]
-    slow_order: of the models beside an estimator's slow errors. [px4_sih_flights: with it and `slow_spectrum_rows` the
-    whitened residual below 0.1 Hz has 1.0 to 2.5 times the power of white noise, 1.5 to 4 with the usual ones]
-    slow_spectrum_rows: of a periodogram beside them. [the same]
-    sensor_band: over the filters' cutoff, where sensors alone are heard. [margins: neither]
-    sensor_share: of the log's rate, at which that band ends at the latest. [formula: central differences see little
-    beyond]
-    sensor_rows: of a periodogram of the unfiltered residual. [margins: neither]
-    min_sensor_band: ratio of that band's ends, over which white noise and the tail of motion, 1 / f^2, can be told
-    apart. [formula: the tail falls to a quarter]
-    reweightings: of the likeliest spectrum. [formula: it has converged then]
-    torque_redness: factor on that cap for torques, which the rotors' turbulence reddens. [decisions: the noise floor]
-    """
-
-    order: Count = 6
-    reference_band: Range = (1.5, 3.0)
-    spectrum_rows: Annotated[int, Meta(ge=16)] = 128
-    slow_order: Count = 10
-    slow_spectrum_rows: Annotated[int, Meta(ge=16)] = 512
-    sensor_band: Range = (1.25, 3.0)
-    sensor_share: Share = 0.3
-    sensor_rows: Annotated[int, Meta(ge=64)] = 256
-    min_sensor_band: Factor = 2.0
-    reweightings: Count = 5
-    torque_redness: Factor = 1.5
-
-
 class PoseThresholds(ThresholdGroup, frozen=True):
-    """Slow errors of a pose by an estimator that used the accelerometer: smooth Gauss-Markov processes.
+    """Slow errors of a pose by an estimator that used the accelerometer: a smooth Gauss-Markov process.
 
     velocity_error: standard deviation, m/s, at most, and where there is no position to compare with.
     [tests/data/px4_sih_flights: 0.14 to 0.23 over 28 flights of PX4 with GNSS]
     velocity_time: correlation time of that, s. [the same: 2.6 to 2.7]
-    tilt_error: standard deviation, rad. [the same: 1.2 degrees]
-    tilt_time: correlation time of that, s. [the same: 2.5 to 3.8]
-    smooth_time: below which these errors do not change, s. [the same]
+    smooth_time: below which that error does not change, s. [the same]
+    sensor_band: over the filters' cutoff, where sensors alone are heard. [margins: neither]
+    sensor_share: of the log's rate, at which that band ends at the latest. [formula: central differences see little
+    beyond]
+    sensor_rows: of a periodogram there. [margins: neither]
     min_coherence: of the velocity's derivative with the accelerometer where no motion reaches, above which the pose of
     a table is an estimator's. [tests/data/px4_sih_flights 0.997; tests/data/nanobench 0.26 to 0.40; simulated motion
     capture 0.13 and less]
-    examples: segments on which the model's slope in the velocity is found. [margins: neither]
-    certain: share of their variance that is taken off normal equations. [formula: the least that
-    a size known by a half may be]
     draws: of the error of velocity: the mean of what they make of held-out errors counts, and the most that the state
     predicts of them. [margins: neither]
     """
 
     velocity_error: Positive = 0.2
     velocity_time: Positive = 2.7
-    tilt_error: Score = 0.021
-    tilt_time: Positive = 3.0
     smooth_time: Positive = 0.3
+    sensor_band: Range = (1.25, 3.0)
+    sensor_share: Share = 0.3
+    sensor_rows: Annotated[int, Meta(ge=64)] = 256
     min_coherence: Share = 0.7
-    examples: Count = 3
-    certain: Share = 0.5
     draws: Count = 4

@@ -138,7 +138,7 @@ def ranking_bars(details: DiagnosisDetails, max_count: int = 14) -> Picture:
     names = [candidate.key for candidate, _ in able]
     named = {effect.name for effect in details.diagnosis.effects}
     colours = [AFTER if candidate.effect.name in named else SKY for candidate, _ in able]
-    min_score = details.regression.thresholds.likelihood.named
+    min_score = details.noise.thresholds.likelihood.named
     figure = go.Figure(
         go.Bar(
             y=names,

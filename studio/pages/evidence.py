@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from diagnosis.comparison import worst_window
 from diagnosis.data.segment import Segment
 from diagnosis.diagnose import DiagnosisDetails
+from diagnosis.estimation.channel_noise import ChannelNoise
 from diagnosis.models import channels
-from diagnosis.selection.regression import Regression
 from dynamics.arrays import Floats
 
 MAX_ROWS = 6000  # of the overlay: four minutes of flight
@@ -47,14 +47,14 @@ class Overlay:
 
 
 def overlay(
-    segments: Sequence[Segment], before: Sequence[Floats], after: Sequence[Floats], regression: Regression
+    segments: Sequence[Segment], before: Sequence[Floats], after: Sequence[Floats], noise: ChannelNoise
 ) -> Overlay:
     """Measured channels of segments and those of two models, from their residuals (m, 12).
 
-    Of more than four minutes the worst segments are shown. regression: for noise floor, rate and thresholds.
+    Of more than four minutes the worst segments are shown. noise: of the fitted flights.
     """
-    floor, rate = regression.noise.floor, regression.rate
-    duration = regression.thresholds.regimes.worst_window
+    floor, rate = noise.floor, noise.rate
+    duration = noise.thresholds.regimes.worst_window
     worst_first = sorted(range(len(before)), key=lambda i: -worst_window([before[i]], floor, rate, duration)[2])
     chosen = _as_many_as_fit(worst_first, before)
     gap = np.full((1, channels.CHANNELS), np.nan)

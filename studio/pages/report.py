@@ -10,12 +10,11 @@ from typing import Any
 from diagnosis.comparison import ComparisonDetails
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
+from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.models.channels import NAMES
 from diagnosis.regimes import regime_maps, regime_planes
 from diagnosis.report import Diagnosis, in_flight_sentence, sentence
-from diagnosis.selection.regression import Regression
-from diagnosis.spectrum import Spectrum, residual_spectrum
-from dynamics.arrays import Floats
+from diagnosis.spectrum import residual_spectrum
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
@@ -86,7 +85,7 @@ def demo_page(
     result, dataset: of the first flights. hidden: what the simulated vehicle hid, in words.
     """
     views = [(item, flown_pictures.flight_view(item), flown_pictures.flight_in_space(item)) for item in flown]
-    vehicle = result.regression.vehicle
+    vehicle = result.noise.vehicle
     return render(
         "demo.html",
         title="Alula demo: the model before and after diagnosis",
@@ -127,7 +126,7 @@ def add_command(
 def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
     """Content of the page of a comparison."""
     rows = compared.residuals
-    view = overlay(dataset.everything, rows, rows, compared.regression)
+    view = overlay(dataset.everything, rows, rows, compared.noise)
     both = agreement(rows)
     return {
         "compared": compared.comparison,
@@ -144,13 +143,13 @@ def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
 
 def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
     """Content of the sections on a diagnosis."""
-    regression = result.regression
-    floor, thresholds = regression.noise.floor, regression.thresholds
-    rows = [*regression.rows, *result.before]
+    noise = result.noise
+    floor, thresholds = noise.floor, noise.thresholds
+    rows = [*residuals_in(noise, result.likelihood.vehicle_without, noise.segments), *result.before]
     improved = bool(result.diagnosis.effects)
-    view = overlay(dataset.held_out, result.before, result.after, regression)
+    view = overlay(dataset.held_out, result.before, result.after, noise)
     both = agreement(rows)
-    after = _spectrum(result.after, regression) if improved else None
+    after = residual_spectrum(result.after, noise) if improved else None
     maps = regime_maps(dataset.everything, rows, floor, vehicle, thresholds.regimes)
     planes = regime_planes(dataset.everything, rows, floor, vehicle, thresholds.regimes)
     return {
@@ -165,13 +164,9 @@ def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> 
         "planes": [regions.plane_map(plane) for plane in planes],
         "ranking": pictures.ranking_bars(result),
         "intervals": pictures.interval_lines(result.diagnosis),
-        "spectrum": pictures.spectrum_lines(_spectrum(result.before, regression), after),
+        "spectrum": pictures.spectrum_lines(residual_spectrum(result.before, noise), after),
         "agreement": None if both is None else pictures.agreement_points(both),
         "likeness": pictures.likeness_map(likeness(result)),
         "in_flight": [in_flight_sentence(one, result.diagnosis.rotors) for one in result.diagnosis.in_flight],
         "followed": [followed_picture(flight, effects_of(flight, result.diagnosis)) for flight in result.followed],
     }
-
-
-def _spectrum(rows: Sequence[Floats], regression: Regression) -> Spectrum:
-    return residual_spectrum(rows, regression.noise, regression.rate, regression.thresholds)

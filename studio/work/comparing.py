@@ -23,7 +23,7 @@ def compare(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
     progress(0.3, "predictions of the model")
     details = compare_dataset(dataset, vehicle, memory.catalogue(task))
     progress(0.9, "pictures")
-    floor = details.regression.noise.floor
+    floor = details.noise.floor
     rows = write_rows(folder, task, dataset, vehicle, floor, details.maps, {"residual": details.residuals})
     both = agreement(details.residuals)
     shown = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from diagnosis.by_likelihood import likelihood_fit
 from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.refusal import reason_of
@@ -38,16 +37,15 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
     """Write the diagnosis, its rows with the present and the improved model, and its pictures."""
     details = memory.diagnosis(task, lambda share, stage: progress(0.9 * share, stage))
     dataset, vehicle, catalogue = memory.dataset(task), memory.vehicle(task), memory.catalogue(task)
-    regression, thresholds, answer = details.regression, details.regression.thresholds, details.likelihood
+    noise = details.noise
     progress(0.9, "pictures")
-    present = likelihood_fit(answer.search, regression, ()).vehicle
-    before = residuals_in(regression, present, dataset.everything)
-    after = residuals_in(regression, details.accepted.fit.vehicle, dataset.everything)
-    floor = regression.noise.floor
+    before = residuals_in(noise, details.likelihood.vehicle_without, dataset.everything)
+    after = residuals_in(noise, details.accepted.fit.vehicle, dataset.everything)
+    floor = noise.floor
     maps = regime_maps(dataset.everything, before, floor, vehicle, DEFAULT.regimes)
     improved = regime_maps(dataset.everything, after, floor, vehicle, DEFAULT.regimes)
     rows = write_rows(folder, task, dataset, vehicle, floor, maps, {"residual": before, "improved": after})
-    spectra = [residual_spectrum(r, regression.noise, regression.rate, thresholds) for r in (before, after)]
+    spectra = [residual_spectrum(r, noise) for r in (before, after)]
     intervals = pictures.interval_lines(details.diagnosis)
     shown = {
         "bars": pictures.channel_bars(details.diagnosis.channels),

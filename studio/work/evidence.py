@@ -9,11 +9,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from diagnosis.by_likelihood import likelihood_fit
+from diagnosis.by_likelihood import fit_of
 from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.estimation.evaluation import residuals_in
 from diagnosis.estimation.fitted import Fit
-from diagnosis.likelihood.named import Named
 from diagnosis.models.channels import KINDS, squared_by_kind
 from diagnosis.regimes import regime_maps
 from diagnosis.selection.candidates import Candidate
@@ -40,28 +39,28 @@ from studio.work.task import Task
 def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
     """Fit one effect, and write what it explains: rows (m, 12) with it, and over a grid of each parameter."""
     details = memory.diagnosis(task, lambda share, stage: progress(0.5 * share, stage))
-    dataset, regression = memory.dataset(task), details.regression
+    dataset, noise = memory.dataset(task), details.noise
     tried = _tried(details, task.effect)
     candidate = tried.candidate
     progress(0.5, f"fit of {candidate.key}")
     fits = _fits(details, tried)
     fitted, segments = fits.fitted, dataset.everything
-    before = residuals_in(regression, fits.without, segments)
-    after = residuals_in(regression, fitted.vehicle, segments)
-    floor = regression.noise.floor
+    before = residuals_in(noise, fits.without, segments)
+    after = residuals_in(noise, fitted.vehicle, segments)
+    floor = noise.floor
     sliders, grids = [], {}
     shown = [p for p in candidate.effect.parameters if p.name in candidate.at]
     for number, parameter in enumerate(shown):
         progress(0.6 + 0.4 * number / len(shown), f"errors for values of {parameter.name}")
-        values, best = _grid(parameter, fitted, candidate, regression.vehicle)
-        tables = [residuals_in(regression, _moved(fitted, candidate, parameter.name, v), segments) for v in values]
+        values, best = _grid(parameter, fitted, candidate, noise.vehicle)
+        tables = [residuals_in(noise, _moved(fitted, candidate, parameter.name, v), segments) for v in values]
         grids[f"grid_{number}"] = np.array([np.vstack(t) for t in tables], dtype=np.float32)
         rms = [_over_floor(table, floor) for table in tables]
         std = fitted.estimates[candidate.key, parameter.name].std if parameter.name in fits.free else 0.0
         sliders.append(Slider(parameter.name, parameter.unit, values.tolist(), best, std, rms))
     write_arrays(folder, {"improved": np.vstack(after).astype(np.float32), **grids})
-    maps = regime_maps(segments, after, floor, regression.vehicle, DEFAULT.regimes)
-    spectra = [residual_spectrum(r, regression.noise, regression.rate, regression.thresholds) for r in (before, after)]
+    maps = regime_maps(segments, after, floor, noise.vehicle, DEFAULT.regimes)
+    spectra = [residual_spectrum(r, noise) for r in (before, after)]
     evidence = Evidence(
         key=candidate.key,
         formula="\n".join(EffectCard(candidate.effect, None, ()).formula),
@@ -104,16 +103,15 @@ def _fits(details: DiagnosisDetails, tried: Tried) -> _Fits:
 
     Raises DataError where the values that fit best are physically impossible.
     """
-    regression, answer, candidate = details.regression, details.likelihood, tried.candidate
+    answer, candidate = details.likelihood, tried.candidate
     if tried.score is None:
         raise DataError(
             f"the values of {candidate.key} that fit these flights best are physically impossible, so there is "
             "nothing to show of it. Look at the effects above it, or at another flight."
         )
     others = [one for one in answer.named if one.number != tried.number]
-    own = Named(tried.number, candidate, tried.score, ())
-    fitted = likelihood_fit(answer.search, regression, [*others, own])
-    without = likelihood_fit(answer.search, regression, others).vehicle
+    numbers = [one.number for one in others]
+    fitted, without = fit_of(answer.search, [*numbers, tried.number]), fit_of(answer.search, numbers).vehicle
     free = tuple(name for key, name in fitted.estimates if key == candidate.key)
     return _Fits(fitted, without, free, tuple(one.candidate.key for one in others))
 

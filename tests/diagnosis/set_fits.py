@@ -7,7 +7,6 @@ from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.fitted import Fit
 from diagnosis.likelihood.given_set import fit_set, nearest_members
 from diagnosis.likelihood.identify import identify
-from diagnosis.thresholds import DEFAULT
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
@@ -24,7 +23,7 @@ def fitted_to(flights: Sequence[Flight], vehicle: Vehicle, *uses: EffectUse) -> 
 
 def fitted_on(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], *uses: EffectUse) -> Fit:
     """Effects, begun near their values, fitted on a data set."""
-    problems = problems_of(dataset, vehicle, catalogue, DEFAULT.likelihood)
+    problems = problems_of(dataset, vehicle, catalogue)
     members = nearest_members(problems[0], uses)
     return fit_of(fit_set(problems, members).search, members)
 
@@ -32,6 +31,6 @@ def fitted_on(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect
 def fitted_alone(flights: Sequence[Flight], vehicle: Vehicle, name: str) -> Fit:
     """An effect fitted to flights where it is likeliest of its grid, beside faults of sensors as other candidates."""
     catalogue = {**SENSORS, **{n: CATALOGUE[n] for n in (name, *(use.name for use in vehicle.effects))}}
-    problems = problems_of(make_dataset(flights, vehicle), vehicle, catalogue, DEFAULT.likelihood)
+    problems = problems_of(make_dataset(flights, vehicle), vehicle, catalogue)
     result = identify(problems, one_of=[i for i, c in enumerate(problems[0].what.all) if c.effect.name == name])
     return fit_of(result.search, result.best.members)

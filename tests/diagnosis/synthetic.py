@@ -1,33 +1,17 @@
-"""Regressions and segments made of a few arrays, with known solutions."""
+"""Effects and segments made of a few arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.noise import NoiseModel
-from diagnosis.selection.regression import Regression, marginal
-from diagnosis.selection.regression_of_flights import flight_equations
-from diagnosis.selection.sensor_errors import Biases
-from diagnosis.thresholds import DEFAULT, Thresholds
-from dynamics.arrays import Floats
 from dynamics.effect import Effect, Parameter, Prior, Wrench
 from dynamics.vehicle import GRAVITY, Vehicle
 
 CHANNELS = 12
-RATE = 25.0
-NO_BIASES = Biases((), np.zeros(0))
-
-
-def white(active: Sequence[int] = range(CHANNELS)) -> NoiseModel:
-    """Noise that is white and of unit size already."""
-    count = len(active)
-    floor = np.zeros(CHANNELS)
-    floor[list(active)] = 1.0
-    return NoiseModel(tuple(active), np.ones((count, 1)), np.ones(count), np.eye(count), floor)
 
 
 def effect(
@@ -39,65 +23,10 @@ def effect(
     return Effect(name, "", "", made, wrench=lambda conditions, values, states: Wrench(0, 0))
 
 
-def candidate(of: Effect, *columns: int) -> Candidate:
-    """The effect with one column for each of its parameters."""
+def candidate(of: Effect) -> Candidate:
+    """The effect at its neutral values, linear in all of them."""
     names = tuple(p.name for p in of.parameters)
-    return Candidate(of, None, {p.name: p.neutral for p in of.parameters}, names, columns)
-
-
-def regression(
-    vehicle: Vehicle,
-    candidates: Sequence[Candidate],
-    columns: Sequence[Floats],
-    rows: Sequence[Floats],
-    *,
-    biases: Biases = NO_BIASES,
-    segments: Sequence[Segment] = (),
-    catalogue: Mapping[str, Effect] | None = None,
-    thresholds: Thresholds = DEFAULT,
-) -> Regression:
-    """A regression of rows (m, 12) on columns (m, 12, k), a flight each, under white noise of unit size."""
-    noise = white()
-    flights = [
-        flight_equations([(noise.whiten(x), noise.whiten(y), np.zeros_like(x), np.zeros_like(y))])
-        for x, y in zip(columns, rows, strict=True)
-    ]
-    free = [marginal(one.gram, one.product, biases) for one in flights]
-    grams, products = [gram for gram, _ in free], [product for _, product in free]
-    return Regression(
-        vehicle=vehicle,
-        catalogue=catalogue or {c.effect.name: c.effect for c in candidates},
-        segments=segments,
-        flight_of=tuple(range(len(rows))),
-        candidates=tuple(candidates),
-        noise=noise,
-        rows=list(rows),
-        columns=list(columns),
-        gram=grams,
-        product=products,
-        plain_gram=grams,
-        plain_product=products,
-        joint_gram=[one.gram for one in flights],
-        joint_product=[one.product for one in flights],
-        observations=[y.size for y in rows],
-        rate=RATE,
-        biases=biases,
-        design=None,  # type: ignore[arg-type]
-        everything=np.zeros(columns[0].shape[2]),
-        equations=flights,
-        thresholds=thresholds,
-    )
-
-
-def planted(
-    vehicle: Vehicle, theta: Sequence[float], *, seed: int, flights: int = 6, rows: int = 80, **more: object
-) -> Regression:
-    """Effects a, b, c.. with one random column each, of which theta is in the rows, with unit white noise."""
-    random = np.random.default_rng(seed)
-    columns = [random.standard_normal((rows, CHANNELS, len(theta))) for _ in range(flights)]
-    residuals = [x @ np.array(theta) + random.standard_normal((rows, CHANNELS)) for x in columns]
-    candidates = [candidate(effect(chr(ord("a") + i)), i) for i in range(len(theta))]
-    return regression(vehicle, candidates, columns, residuals, **more)  # type: ignore[arg-type]
+    return Candidate(of, None, {p.name: p.neutral for p in of.parameters}, names)
 
 
 def hovering(

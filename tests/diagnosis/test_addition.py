@@ -9,12 +9,12 @@ import pytest
 
 from diagnosis.addition import _borne_out, add_effect, notes_of_set
 from diagnosis.addition_report import report
+from diagnosis.by_likelihood import noise_of
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.report import Diagnosis, MissingEffect
-from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
@@ -75,33 +75,33 @@ def rotor_drag(vehicle, dataset, *, of_file, fitted):
     """What a diagnosis accepted: a drag of the file that a fit has moved, surely by its interval."""
     some = {n: CATALOGUE[n] for n in ("rotor_drag", "imu_bias", "gyro_bias", "time_delay")}
     dragging = vehicle.with_effects(EffectUse("rotor_drag", {"coefficient": of_file}))
-    regression = make_regression(dragging, some, dataset.fitted, dataset.flight_of)
-    drag = next(c for c in regression.candidates if c.effect.name == "rotor_drag")
+    noise = noise_of(dataset, dragging, some)
+    drag = next(c for c in noise.problems[0].what.all if c.effect.name == "rotor_drag")
     vehicle = with_candidates(dragging, [drag], {"rotor_drag.coefficient": fitted})
     estimates = {("rotor_drag", "coefficient"): ParameterEstimate(fitted, 1e-9, "")}
     fit = Fit(vehicle, estimates, (drag,), np.array([[1e-18]]), information=np.array([[1e18]]))
-    return Accepted(fit, (), np.ones(12)), regression
+    return Accepted(fit, ()), noise
 
 
-def answered(regression, accepted):
+def answered(noise, accepted):
     """An answer with these effects, of which nothing is left where one is taken back."""
     fewer = replace(accepted, fit=replace(accepted.fit, estimates={}, candidates=()))
 
-    def without(refused, _):
-        return SimpleNamespace(regression=regression, accepted=replace(fewer, refused=tuple(refused)))
+    def without(refused):
+        return SimpleNamespace(noise=noise, accepted=replace(fewer, refused=tuple(refused)))
 
-    return SimpleNamespace(regression=regression, accepted=accepted, without=without)
+    return SimpleNamespace(noise=noise, accepted=accepted, without=without)
 
 
 @pytest.mark.parametrize(("of_file", "written"), [(0.0, False), (8e-6, True)])
 def test_what_makes_no_open_loop_better_is_not_written_however_sure_it_is(plain_flights, arpl_250g, of_file, written):
     """With nothing hidden a drag of 0.973 was written in place of 1, and the position after a second erred by more."""
     dataset = make_dataset(plain_flights, arpl_250g)
-    accepted, regression = rotor_drag(arpl_250g, dataset, of_file=of_file, fitted=3e-7)
-    judge = HeldOut(regression, dataset.held_out)
-    answer = answered(regression, accepted)
+    accepted, noise = rotor_drag(arpl_250g, dataset, of_file=of_file, fitted=3e-7)
+    judge = HeldOut(noise, dataset.held_out)
+    answer = answered(noise, accepted)
     if written:
-        assert _borne_out(answer, dataset, judge).accepted.fit.keys == ("rotor_drag",)
+        assert _borne_out(answer, judge).accepted.fit.keys == ("rotor_drag",)
     else:
         with pytest.raises(DataError, match=r"nothing was added: rotor_drag .* not better with it by more than chance"):
-            _borne_out(answer, dataset, judge)
+            _borne_out(answer, judge)

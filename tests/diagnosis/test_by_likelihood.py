@@ -14,8 +14,8 @@ from diagnosis.by_likelihood import (
     LikelihoodAnswer,
     answer_beside,
     answer_by_likelihood,
-    likelihood_fit,
-    likelihood_problems,
+    fit_of,
+    problems_of,
 )
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
@@ -23,8 +23,6 @@ from diagnosis.estimation.fitted import left_out
 from diagnosis.estimation.refusal import Refused
 from diagnosis.likelihood.evidence import Sums
 from diagnosis.likelihood.left_over import LeftOver
-from diagnosis.likelihood.named import Named
-from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
 from diagnosis.tried import tried_by_likelihood
 from dynamics.effects import CATALOGUE
@@ -39,28 +37,26 @@ def twice_the_drag() -> tuple[Dataset, Vehicle, LikelihoodAnswer]:
     vehicle = px4_sih()
     logs = [DATA / "px4_sih_flights" / f"{name}.ulg.gz" for name in ("drag2_1_circle", "drag2_4_lemniscate")]
     dataset = read_dataset(logs, vehicle)
-    first = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
-    return dataset, vehicle, answer_by_likelihood(first, dataset)
+    return dataset, vehicle, answer_by_likelihood(dataset, vehicle, CATALOGUE)
 
 
 def test_logs_of_two_kinds_have_a_filter_each():
-    dataset, _, answer = twice_the_drag()
+    dataset, vehicle, _ = twice_the_drag()
     first, *others = dataset.fitted
     for other in (replace(first, rate=2 * first.rate), replace(first, specific_force=None)):
         mixed = replace(dataset, fitted=(other, *others))
-        problems = likelihood_problems(mixed, answer.regression)
+        problems = problems_of(mixed, vehicle, CATALOGUE)
         assert [len({rows.readings for rows in one.flights}) for one in problems] == [1, 1]
         assert sum(len(one.flights) for one in problems) == len(mixed.fitted)
         assert all(one.what.all == problems[0].what.all for one in problems)
 
 
 def test_a_long_flight_is_filtered_in_pieces_without_a_gap():
-    dataset, _, answer = twice_the_drag()
+    dataset, vehicle, answer = twice_the_drag()
     short = answer.search.problem.thresholds.seconds / 4
     limits = DEFAULT.likelihood
     thresholds = msgspec.structs.replace(DEFAULT, likelihood=msgspec.structs.replace(limits, seconds=short))
-    regression = replace(answer.regression, thresholds=thresholds)
-    parts = (problem := likelihood_problems(dataset, regression)[0]).flights
+    parts = (problem := problems_of(dataset, vehicle, CATALOGUE, thresholds)[0]).flights
     assert problem.thresholds is thresholds.likelihood
     assert max(len(rows) * rows.period for rows in parts) <= short + parts[0].period
     assert {rows.group for rows in parts} == set(dataset.flight_of)
@@ -107,8 +103,7 @@ def test_an_effect_that_is_not_named_is_fitted_beside_those_that_are():
     _, _, answer = twice_the_drag()
     (named,) = answer.named
     mass = next(one for one in tried_by_likelihood(answer.search, [named.number]) if one.candidate.key == "mass")
-    own = Named(mass.number, mass.candidate, mass.score, ())
-    both, alone = (likelihood_fit(answer.search, answer.regression, some) for some in ([named, own], [named]))
+    both, alone = (fit_of(answer.search, some) for some in ([named.number, mass.number], [named.number]))
     assert {key for key, _ in both.estimates} == {"linear_drag", "mass"}
     drag, mass_ratio = both.estimates["linear_drag", "coefficient"], both.estimates["mass", "ratio"]
     assert abs(mass_ratio.value - 1.0) < 3 * mass_ratio.std
@@ -123,9 +118,9 @@ def test_without_the_effect_held_out_errors_rise():
 
 
 def test_an_effect_that_is_taken_back_leaves_nothing_of_its_values():
-    dataset, vehicle, answer = twice_the_drag()
+    _, vehicle, answer = twice_the_drag()
     refused = Refused("linear_drag", None, "another_form", {"share": 1.0, "required": 0.2})
-    rest = answer.without([refused], dataset)
+    rest = answer.without([refused])
     assert rest.missing() == ()
     assert rest.accepted.refused == (refused,)
     own = next(use.parameters for use in vehicle.effects if use.name == "linear_drag")
@@ -137,10 +132,10 @@ def test_an_effect_that_is_taken_back_leaves_nothing_of_its_values():
     ("odds", "share", "reason"), [(1.0, 0.0, "unsure"), (50.0, 0.4, "another_form"), (50.0, 0.1, None)]
 )
 def test_an_effect_must_be_likely_and_of_its_own_form_beside_what_is_left(odds, share, reason):
-    dataset, _, answer = twice_the_drag()
+    _, _, answer = twice_the_drag()
     (named,) = answer.named
     left = LeftOver((), (), {named.number: odds}, {named.number: share})
-    rest = answer_beside(answer, left, answer.regression, dataset)
+    rest = answer_beside(answer, left)
     assert [one.candidate.identity for one in rest.named] == ([] if reason else [named.candidate.identity])
     assert [one.reason for one in rest.accepted.refused] == ([reason] if reason else [])
     if reason == "unsure":

@@ -145,18 +145,6 @@ def test_motor_lag_is_found_where_the_log_holds_commands(plain_flights, arpl_250
     assert diagnosis.effects[0].parameters["time_constant"].value == pytest.approx(0.035, rel=0.35)
 
 
-def test_perturbing_the_data_does_not_change_the_segment(plain):
-    from diagnosis.selection.errors_in_variables import noisier_segments
-
-    segment = plain.fitted[0]
-    velocity, gyro = segment.velocity.copy(), segment.gyro.copy()
-    (noisier,) = noisier_segments([segment])
-    np.testing.assert_array_equal(segment.velocity, velocity)
-    np.testing.assert_array_equal(segment.gyro, gyro)
-    assert not np.array_equal(noisier.velocity, segment.velocity)
-    assert np.std(noisier.velocity - segment.velocity) < 0.05
-
-
 def test_an_effect_outside_the_catalogue_is_called_unknown(plain, arpl_250g):
     """Moments of inertia a quarter too small in the file, of which this catalogue has none."""
     body = msgspec.structs.replace(arpl_250g.body, inertia=tuple(0.75 * each for each in arpl_250g.body.inertia))

@@ -1,5 +1,7 @@
 """Where a model fails is shown where it was flown, and its residuals' spectrum over that of the sensors' noise."""
 
+from types import SimpleNamespace
+
 import msgspec
 import numpy as np
 import pytest
@@ -7,7 +9,6 @@ import pytest
 from diagnosis.comparison import compare_dataset
 from diagnosis.data.dataset import make_dataset
 from diagnosis.regimes import causes_first, plane_cells, regime_maps, regime_planes, worst_cells
-from diagnosis.selection.noise import estimate_noise
 from diagnosis.spectrum import residual_spectrum
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
@@ -66,13 +67,22 @@ def test_planes_leave_what_was_not_flown_unmarked(segments, arpl_250g):
     assert sum(cell is None for row in cells for cell in row) == np.isnan(plane.over_floor[0]).sum()
 
 
+def white(rate, floor):
+    """White noise of a level (12,) in rows at a rate, Hz."""
+
+    def density(frequency):
+        return np.outer(floor**2, np.ones(len(frequency))) / rate
+
+    return SimpleNamespace(rate=rate, floor=floor, density=density, segments=[SimpleNamespace(filters=DEFAULT.filters)])
+
+
 def test_a_line_stands_out_of_the_noise_models_spectrum():
     random = np.random.default_rng(0)
     noise_rows = [random.standard_normal((2000, 12)) for _ in range(2)]
-    noise = estimate_noise(noise_rows, 25.0, range(9))
+    noise = white(25.0, (np.arange(12) < 9).astype(float))
     swung = noise_rows[0].copy()
     swung[:, 4] += np.sin(2 * np.pi * 3.0 * np.arange(2000) / 25.0)
-    spectrum = residual_spectrum([swung], noise, 25.0)
+    spectrum = residual_spectrum([swung], noise)
     ratio = spectrum.power / spectrum.noise
     assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.15)
     assert spectrum.frequency[np.argmax(ratio[4])] == pytest.approx(3.0, abs=0.2)

@@ -24,6 +24,6 @@ def test_without_a_mass_it_is_the_fitted_one(arpl_250g):
 def test_thrust_grows_with_the_mass_that_it_carries(arpl_250g, reference, value):
     vehicle = arpl_250g.with_effects(EffectUse("mass", {"ratio": 1.25}))
     estimates = {MASS_KEY: ParameterEstimate(1.25, 0.025, "1")}
-    gain = command_gain(Fit(vehicle, estimates, (candidate(MASS, 0),), commands=GAIN), reference)
+    gain = command_gain(Fit(vehicle, estimates, (candidate(MASS),), commands=GAIN), reference)
     assert gain.value == pytest.approx(value)
     assert gain.std == pytest.approx(value * 0.0224, rel=0.01)

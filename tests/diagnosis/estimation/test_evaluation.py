@@ -1,11 +1,10 @@
 """Residuals are free of the errors that healthy sensors have, of a user's own sensors as well."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
-import numpy as np
-
+from diagnosis.by_likelihood import noise_of
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals, residuals_in
-from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effect import Effect, Parameter, Prior, Reading
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import hovering
@@ -29,10 +28,9 @@ def test_errors_within_specification_of_a_users_own_sensor_are_removed_from_resi
     catalogue = {**{name: CATALOGUE[name] for name in ("mass", "imu_bias")}, SCALE.name: SCALE}
     healthy = hovering(arpl_250g, mass_ratio=1.0, seed=4, count=4)
     held_out = [replace(s, specific_force=1.03 * s.specific_force) for s in hovering(arpl_250g, mass_ratio=1.0, seed=5)]
-    regression = make_regression(arpl_250g, catalogue, healthy, (0, 1, 2, 3))
-    without = {name: effect for name, effect in catalogue.items() if name != SCALE.name}
-    plain = residuals(arpl_250g, without, held_out, regression.noise)
-    assert reduced_chi_square(plain, regression.noise) > 3
-    rows = residuals_in(regression, arpl_250g, held_out)
-    assert reduced_chi_square(rows, regression.noise) < 1.3
-    np.testing.assert_allclose(rows[0], residuals(arpl_250g, catalogue, held_out, regression.noise)[0])
+    dataset = SimpleNamespace(fitted=healthy, flight_of=(0, 1, 2, 3))
+    noise = noise_of(dataset, arpl_250g, catalogue)
+    plain = residuals(arpl_250g, catalogue, held_out)
+    assert reduced_chi_square(plain, noise.floor) > 3
+    rows = residuals_in(noise, arpl_250g, held_out)
+    assert reduced_chi_square(rows, noise.floor) < 1.3

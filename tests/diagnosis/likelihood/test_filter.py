@@ -10,11 +10,11 @@ from diagnosis.likelihood.innovations import Linearised, start
 from diagnosis.likelihood.noise_fit import STRUCTURES, compose
 from diagnosis.likelihood.rigid_body import FlightModel, moved_reference
 from diagnosis.noise.component import hover
-from diagnosis.noise.kalman_filter import filter_rows
 from dynamics.rotation_matrix import exponential, logarithm, orthonormal, skew
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_file import read_vehicle
 from tests.diagnosis.likelihood.flights import problem_of
+from tests.diagnosis.noise.kalman_filter import filter_rows
 from vehicles import FOLDER
 
 VEHICLE = read_vehicle(FOLDER / "px4_sih.toml")

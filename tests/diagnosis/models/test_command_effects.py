@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diagnosis.by_likelihood import problems_of
+from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment, segments
 from diagnosis.models.command_effects import (
     COMMAND_EFFECTS,
@@ -15,7 +17,6 @@ from diagnosis.models.command_effects import (
     without_command_effects,
 )
 from diagnosis.models.predictor import Predictor
-from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from flights import Flight
@@ -87,15 +88,17 @@ def test_thrust_carries_whatever_mass_the_model_has(
     np.testing.assert_allclose(np.ptp(heavy[1], axis=0), 1.2 * np.ptp(light[1], axis=0), rtol=0.02)
 
 
-def test_they_stay_in_the_regression_and_never_reach_a_vehicle_file(commanded: Segment, arpl_250g: Vehicle) -> None:
+def test_they_are_in_the_likelihoods_model_and_never_reach_a_vehicle_file(
+    commanded: Segment, arpl_250g: Vehicle
+) -> None:
     catalogue = {name: CATALOGUE[name] for name in ("linear_drag", "mass", "gyro_bias", "imu_bias", "time_delay")}
-    regression = make_regression(arpl_250g, catalogue, [commanded], [0])
-    assert not {c.effect.name for c in regression.candidates} & set(COMMAND_EFFECTS)
-    assert {c.effect.name for c in regression.nuisances} == set(COMMAND_EFFECTS)
-    assert len(regression.shared.columns) == len(regression.nuisances)
-    assert without_command_effects(regression.vehicle) == arpl_250g
-    again, _ = with_command_effects(regression.vehicle, regression.catalogue, [commanded])
-    assert again is regression.vehicle
+    dataset = Dataset((commanded,), (0,), (), {}, ())
+    (problem,) = problems_of(dataset, arpl_250g, catalogue)
+    own = (problem.what.all[problem.what.columns[place].candidate] for place in problem.what.of_commands)
+    assert {candidate.effect.name for candidate in own} == set(COMMAND_EFFECTS)
+    assert without_command_effects(problem.vehicle) == arpl_250g
+    again, _ = with_command_effects(problem.vehicle, problem.catalogue, [commanded])
+    assert again is problem.vehicle
 
 
 def test_measured_speeds_need_none_of_it(commanded: Segment, arpl_250g: Vehicle) -> None:

@@ -103,7 +103,7 @@ def test_models_share_the_hidden_states_that_are_the_same(segment, arpl_250g):
         predictor = Predictor(
             arpl_250g, [EffectUse("motor_lag", {"time_constant": 0.04}), *uses], CATALOGUE, speed_measured=False
         )
-        return predictor.rotor_speed(segment)
+        return predictor.states(segment)[:, predictor.model.rotor_speed_places[-1]]
 
     alone = rotors()
     np.testing.assert_array_equal(rotors(EffectUse("rotor_drag", {"coefficient": 3e-5})), alone)

@@ -11,11 +11,11 @@ from diagnosis.noise.components import CATALOGUE, gyro
 from diagnosis.noise.components.gyro import SENSOR_PRIOR
 from diagnosis.noise.composition import Composition
 from diagnosis.noise.discretisation import discretise
-from diagnosis.noise.kalman_filter import Filtered, filter_rows
 from diagnosis.noise.linear_model import LinearModel, compose, gauss_markov, read_noise, white
 from dynamics.arrays import Floats
 from dynamics.vehicle_file import read_vehicle
 from tests.diagnosis.noise import gaussian
+from tests.diagnosis.noise.kalman_filter import Filtered, filter_rows
 from vehicles import FOLDER
 
 VEHICLE = read_vehicle(FOLDER / "px4_sih.toml")

@@ -11,13 +11,13 @@ from diagnosis.noise.component import hover
 from diagnosis.noise.components import CATALOGUE
 from diagnosis.noise.composition import Composition
 from diagnosis.noise.discretisation import discretise
-from diagnosis.noise.kalman_filter import filter_rows
 from diagnosis.noise.own_components import catalogue_with
 from dynamics.approvals import approve
 from dynamics.effect_source import EffectFile, read_effect_file
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import read_vehicle
 from tests.diagnosis.noise import gaussian
+from tests.diagnosis.noise.kalman_filter import filter_rows
 from vehicles import FOLDER
 
 HOVER = hover(read_vehicle(FOLDER / "crazyflie.toml"), 0.01, 100.0, 500.0)

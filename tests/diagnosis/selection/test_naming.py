@@ -1,5 +1,7 @@
 """Planted effects are named: pairs, effects that held-out flights do not show; others are called unknown."""
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
@@ -34,6 +36,21 @@ def test_an_effect_that_the_held_out_flights_do_not_show_is_named_from_the_other
     wall = {"gain": -0.17, "heading": -np.pi / 2, "distance": 2.12, "scale": 0.14}  # only the second flight is near it
     diagnosis = diagnosed(arpl_250g, ("wall_effect", wall, None))
     assert [effect.name for effect in diagnosis.effects] == ["wall_effect"]
+
+
+def test_an_effect_that_the_held_out_flights_refute_is_not_named(arpl_250g):
+    """Sure as it is in the fitted flights: in the others it makes an error that is not there without it."""
+    some = {name: CATALOGUE[name] for name in ("rotor_drag", "mass", "imu_bias", "gyro_bias")}
+    drag = EffectUse("rotor_drag", {"coefficient": 3e-5})
+    dragging, free = (
+        make_dataset(compiled_flights(arpl_250g, uses, catalogue=CATALOGUE, seed=5), arpl_250g) for uses in ([drag], [])
+    )
+    mixed = dataclasses.replace(dragging, held_out=free.held_out)
+    diagnosis = diagnose_dataset(mixed, arpl_250g, some).diagnosis
+    assert diagnosis.effects == ()
+    (refused,) = (one for one in diagnosis.refused if one.name == "rotor_drag")
+    assert refused.reason == "held_out_worse"
+    assert refused.detail["after"] > 1.2 * refused.detail["before"]
 
 
 @pytest.mark.slow

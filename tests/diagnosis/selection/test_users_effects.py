@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from diagnosis.data.segment import segments
+from diagnosis.estimation.evaluation import require_followed
+from diagnosis.estimation.sensor_errors import SensorErrors
+from diagnosis.likelihood.columns import candidates as candidates_of
 from diagnosis.next_flight import next_flight
 from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import make_candidates
-from diagnosis.selection.design_matrix import evaluate_design
-from diagnosis.selection.sensor_errors import sensor_biases
 from diagnosis.selection.visibility import needs_battery
+from diagnosis.thresholds import DEFAULT
 from dynamics.effect import Effect, Hidden, Parameter, Prior, Wrench
 from dynamics.effects import battery_sag, gust, imu_bias, time_delay
 from dynamics.errors import DataError
@@ -58,12 +60,13 @@ def test_stochastic_ones_are_no_candidates(candidates):
     assert "my_gust" not in {c.effect.name for c in candidates}
 
 
-def test_a_sensors_usual_bias_is_marginalised(candidates):
-    biases = sensor_biases(candidates)
+def test_a_sensors_usual_errors_have_columns_as_the_catalogues_have(catalogue, segment, arpl_250g):
     for ours, theirs in (("imu_bias", "my_imu_bias"), ("time_delay", "my_time_delay")):
-        columns = [[i for c in candidates if c.effect.name == name for i in c.columns] for name in (ours, theirs)]
-        marginalised = [[i for i in places if i in biases.columns] for places in columns]
-        assert len(marginalised[0]) == len(marginalised[1]) > 0
+        made = [SensorErrors(arpl_250g, {name: catalogue[name]}, [segment], DEFAULT) for name in (ours, theirs)]
+        first, second = (one.columns(segment) for one in made)
+        np.testing.assert_allclose(first, second, atol=1e-9)
+        assert np.abs(first).max(axis=(0, 1)).min() > 0
+        np.testing.assert_allclose(*(one.deviation for one in made))
 
 
 def test_they_need_what_their_formula_needs(catalogue, arpl_250g):
@@ -103,14 +106,13 @@ def test_an_effect_that_the_logs_are_too_slow_for_is_left_out_and_named(segment,
         time_constants=("time",),
     )
     some = {"swing": fast, "imu_bias": imu_bias.EFFECT}
-    design = evaluate_design(arpl_250g, some, [segment])
-    assert [c.at["time"] for c in design.candidates if c.key == "swing"] == [0.1]
-    assert all(np.isfinite(x).all() for x in design.columns)
-    assert design.not_followed == ()
+    tried = candidates_of(arpl_250g, some, [segment])
+    assert [c.at["time"] for c in tried.all if c.key == "swing"] == [0.1]
+    assert tried.not_followed == ()
     faster = dataclasses.replace(fast, grid=lambda vehicle, span: [{"time": 1e-4}])
-    design = evaluate_design(arpl_250g, {"swing": faster, "imu_bias": imu_bias.EFFECT}, [segment])
-    assert design.not_followed == ("swing",)
-    assert {c.key for c in design.candidates} == {"imu_bias"}
+    tried = candidates_of(arpl_250g, {"swing": faster, "imu_bias": imu_bias.EFFECT}, [segment])
+    assert tried.not_followed == ("swing",)
+    assert {c.key for c in tried.all} == {"imu_bias"}
     stiff = arpl_250g.with_effects(EffectUse("swing", {"size": 0.1, "time": 1e-4}))
     with pytest.raises(DataError, match="Check the values of swing"):
-        evaluate_design(stiff, some, [segment])
+        require_followed(stiff, some, [segment], DEFAULT.prediction)

@@ -1,13 +1,9 @@
 """A controller's answer to turbulence is no inertia, and no function of the state that a model lacks."""
 
-import numpy as np
 import pytest
 
-from diagnosis.by_likelihood import about
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.estimation.fitted import Fit, ParameterEstimate
-from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
@@ -46,18 +42,6 @@ def test_turbulence_that_commands_explain_by_the_answer_to_it_is_noise(tmp_path)
     dataset, vehicle = logged_by_px4(tmp_path, {}, 0.0659, 3.57e-5, 1763380004)
     diagnosis = diagnose_dataset(dataset, vehicle, CATALOGUE).diagnosis
     assert (diagnosis.verdict, diagnosis.leftover) == ("explained", ())
-
-
-def test_noise_about_a_fit_is_that_of_the_regression(tmp_path):
-    """About a delay's fit the errors of its column are that delay's: another one's made forces 30 times as noisy."""
-    hidden = {"thrust_constant": {"ratio": 0.9666}}
-    dataset, vehicle = logged_by_px4(tmp_path, hidden, 0.14617, 2.1833e-4, 1126209292)
-    regression = make_regression(vehicle, CATALOGUE, dataset.fitted, dataset.flight_of)
-    delay = next(c for c in regression.candidates if c.key == "time_delay" and c.at["delay"] == 0.015)
-    fitted = Fit(vehicle, {("time_delay", "delay"): ParameterEstimate(0.011, 0.001, "s")}, (delay,))
-    again = about(regression, fitted)
-    assert again is not None
-    np.testing.assert_allclose(again.noise.level, regression.noise.level, rtol=0.3)
 
 
 def logged_without(vehicle, seed, quantities, uses=()):

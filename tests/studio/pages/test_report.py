@@ -96,15 +96,15 @@ def test_the_pages_numbers_are_those_of_the_json(
 def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(
     findings: DiagnosisDetails, dataset: Dataset
 ) -> None:
-    regression = findings.regression
-    view = overlay(dataset.held_out, findings.before, findings.after, regression)
+    noise = findings.noise
+    view = overlay(dataset.held_out, findings.before, findings.after, noise)
     flown_rows = np.isfinite(view.measured).all(axis=1)
     residual = np.vstack(findings.before)
     np.testing.assert_allclose((view.measured - view.current)[flown_rows], residual, atol=1e-12)
     assert view.left_out == 0
     inside = (view.time >= view.worst[0]) & (view.time < view.worst[1]) & flown_rows
-    active = regression.noise.floor > 0
-    squares = np.mean(((view.measured - view.current)[:, active] / regression.noise.floor[active]) ** 2, axis=1)
+    active = noise.floor > 0
+    squares = np.mean(((view.measured - view.current)[:, active] / noise.floor[active]) ** 2, axis=1)
     assert np.mean(squares[inside]) > np.mean(squares[flown_rows])
 
 
