@@ -1,4 +1,4 @@
-"""What the noise of some flights makes of the residual channels: the error that a right model would have.
+"""Noise of the residual channels by the likelihood's noise: the error that a right model would have.
 
 The likelihood's noise has a density in every reading (`noise.linear_model`). A residual channel is a linear operator on
 the readings: derivatives, less what the model predicts of other readings. So the channel's noise has the density
