@@ -105,7 +105,7 @@ def signals(flight, vehicle):
 
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_every_reason_of_a_refusal_has_its_words(reason):
-    numbers = dict.fromkeys(("deviations", "required", "share", "odds", "size"), 0.5)
+    numbers = dict.fromkeys(("before", "after", "deviations", "required", "share", "odds", "size"), 0.5)
     text = refusal_sentence(Refused("inertia", None, reason, numbers, "angular", {"ratio_x": 0.993}))
     assert text.startswith("inertia (ratio_x = 0.993): ")
     assert len(text) > 50
