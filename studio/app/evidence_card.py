@@ -97,7 +97,8 @@ def _show(studio: Studio, selected: Any, _: Any, shown: str | None, path: str, s
     key = selected[0]["key"]
     step = f"explain:{key}"
     job = opened.job.step if opened.job else ""
-    signature = repr((key, opened.case.key(step), opened.case.has_result(step), job == step, opened.failure))
+    there = opened.case.has_result(step)  # then the card stands, whether its job has ended or not: lines would go
+    signature = repr((key, opened.case.key(step), there, not there and job == step, opened.failure))
     if signature == shown:
         return no_update, no_update
     refusal = opened.refusal(step)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Page
+from playwright.sync_api import Error, Page
 
 MIN_HEIGHT = 150  # px
 MIN_PANEL = 30  # px that margins, titles and legends leave of each side of a panel
@@ -14,6 +14,8 @@ MAX_REACH = 0.75  # of the way from a scene's middle to its edge: the axes' labe
 WIDTHS = {390: 844, 1280: 900}  # px: height of the window
 READY = """() => [...document.querySelectorAll('.js-plotly-plot')].filter(e => !e.closest('[hidden]')).every(
     e => e.calcdata && e.data.length && Math.abs(e.clientWidth - e._fullLayout.width) < 1)"""
+STATES = """() => [...document.querySelectorAll('.js-plotly-plot')].filter(e => !e.closest('[hidden]')).map(
+    e => [e.parentElement.id, !!e.calcdata, e.data && e.data.length, e.clientWidth, e._fullLayout.width])"""
 MEASURED = Path(__file__).with_name("drawn.js").read_text(encoding="utf-8")
 
 
@@ -26,15 +28,23 @@ def require_drawn(page: Page, widths: Mapping[int, int] = WIDTHS) -> list[str]:
     names: list[str] = []
     for width, height in widths.items():
         page.set_viewport_size({"width": width, "height": height})
-        page.wait_for_function(READY)
+        _wait_until_drawn(page)
         plots: list[dict[str, Any]] = page.evaluate(MEASURED)
         faults = [f"{plot['name']} at {width} px: {fault}" for plot in plots for fault in faults_of(plot, width)]
         assert not faults, "\n".join(faults)
         names = [plot["name"] for plot in plots]
     if before is not None:
         page.set_viewport_size(before)
-        page.wait_for_function(READY)
+        _wait_until_drawn(page)
     return names
+
+
+def _wait_until_drawn(page: Page) -> None:
+    """Wait for all pictures; fail with the state of each where one stays undrawn."""
+    try:
+        page.wait_for_function(READY)
+    except Error as error:
+        raise AssertionError(f"not drawn: {page.evaluate(STATES)}") from error
 
 
 def faults_of(plot: dict[str, Any], width: int) -> list[str]:
