@@ -121,8 +121,8 @@ def add_effect(
         channels=errors,
         keys=fitted.keys,
         chi_square=(
-            reduced_chi_square(judge.rows(present), floor),
-            reduced_chi_square(judge.rows(fitted.vehicle), floor),
+            reduced_chi_square(judge.rows(present), answer.noise.floor),
+            reduced_chi_square(judge.rows(fitted.vehicle), answer.noise.floor),
         ),
         open_loop=(horizons_of(judge, before), horizons_of(judge, fitted.vehicle)),
         refused=accepted.refused,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +34,17 @@ from dynamics.errors import DataError
 from dynamics.progress import Progress, no_progress
 from dynamics.vehicle import Vehicle
 
-NO_FILTER = "Wanted gyro and rotors, and best a pose and an accelerometer: look at them with `alula inspect`."
+
+@contextmanager
+def filter_required() -> Iterator[None]:
+    """Raise DataError for flights whose readings no stationary filter has."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise DataError(
+            f"no filter can follow the readings of these logs ({error}). Wanted gyro and rotors, and best a pose and "
+            "an accelerometer: look at them with `alula inspect`."
+        ) from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +133,8 @@ def noise_of(
     where no stationary filter has such readings.
     """
     problems = problems_of(dataset, vehicle, catalogue, thresholds)
-    try:
+    with filter_required():
         fits = [likeliest(one, structures_of(one.flights[0].segment)) for one in problems]
-    except np.linalg.LinAlgError as error:
-        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
     noise = ChannelNoise(dataset.fitted, problems, fits, thresholds)
     return replace(noise, slow=noise.drifts)
 
@@ -171,10 +180,8 @@ def _odds(search: Search, named: Sequence[Named], one: Named) -> float:
 
 
 def _identified(problems: Sequence[Problem], progress: Progress, **choices: Any) -> Identified:
-    try:
+    with filter_required():
         return identify(problems, progress=progress, **choices)
-    except np.linalg.LinAlgError as error:
-        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
 
 
 def _refused(one: Doubted, log_odds: float) -> Refused:

@@ -11,7 +11,7 @@ import numpy as np
 from diagnosis.by_likelihood import LikelihoodAnswer, answer_beside, answer_by_likelihood, fit_of
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import Accepted
+from diagnosis.estimation.acceptance import Accepted, refused_of
 from diagnosis.estimation.channel_noise import ChannelNoise
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.evaluation import reduced_chi_square
@@ -89,15 +89,12 @@ def diagnose_dataset(
     thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
-    progress(0.0, "flights")
-    answer, rest = _answered(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.05, 0.9))
-    gust = _gust(answer, rest)
-    answer = answer.with_noise(rest.noise, slow=gust is None)
+    whole = _borne_out(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.9))
+    answer, rest, gust, judged = whole.answer, whole.left, whole.gust, whole.held_out
     accepted, refused = answer.accepted, answer.accepted.refused
     effects = answer.missing()
     if gust is not None:
         effects = with_gust(effects, gust, sum(one.log_odds for one in answer.named))
-    judged = HeldOut(answer.noise, dataset.held_out)
     before, after = judged.rows(answer.vehicle_without), judged.rows(accepted.fit.vehicle)
     floor = judged.floor(accepted.fit.vehicle)
     gain = _command_gain(dataset, accepted.fit, effects, thresholds.command_curve)
@@ -130,30 +127,41 @@ def diagnose_dataset(
         accepted=accepted,
         before=before,
         after=after,
-        chi_square_before=reduced_chi_square(before, floor),
-        chi_square_after=reduced_chi_square(after, floor),
+        chi_square_before=reduced_chi_square(before, answer.noise.floor),
+        chi_square_after=reduced_chi_square(after, answer.noise.floor),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(answer)),
         tried=tried,
         likelihood=answer,
     )
 
 
+def _borne_out(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds, progress: Progress
+) -> _Judged:
+    """The answer without effects that held-out flights refute, beside what these made."""
+    judged = _judged(*_answered(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.7)), dataset)
+    refuted = _refuted_by(judged)
+    if not refuted:
+        return judged
+    progress(0.7, "what is left without effects that other flights refute")
+    answer = judged.answer.without(refuted)
+    left = left_over(answer.result, _refuted(answer))
+    if left.left:
+        answer = answer_beside(answer, left, part_of(progress, 0.8, 1.0))
+    return _judged(answer, left, dataset)
+
+
 def _answered(
     dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds, progress: Progress
 ) -> tuple[LikelihoodAnswer, LeftOver]:
-    """The likelihood's answer, and what it leaves of the flights; what refuted effects made is left as well."""
-    answer = answer_by_likelihood(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.6))
-    progress(0.6, "what no effect explains")
+    """The likelihood's answer, and what it leaves of the flights."""
+    answer = answer_by_likelihood(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.7))
+    progress(0.7, "what no effect explains")
     left = left_over(answer.result)
     if left.left:
-        answer = answer_beside(answer, left, part_of(progress, 0.7, 0.8))
-        if refuted := _refuted(answer):
+        answer = answer_beside(answer, left, part_of(progress, 0.8, 1.0))
+        if refuted := _refuted(answer):  # what those made is left as well
             left = left_over(answer.result, refuted)
-    borne_out = _borne_out(answer.with_noise(left.noise, slow=_gust(answer, left) is None), dataset)
-    if borne_out.named != answer.named:
-        progress(0.8, "what is left without effects that other flights refute")
-        left = left_over(answer.result, _refuted(borne_out))
-        answer = answer_beside(borne_out, left, part_of(progress, 0.8, 0.9)) if left.left else borne_out
     return answer, left
 
 
@@ -162,26 +170,43 @@ def _refuted(answer: LikelihoodAnswer) -> set[Identity]:
     return {(one.name, one.rotor) for one in answer.accepted.refused if one.reason in REFUTING}
 
 
-def _borne_out(answer: LikelihoodAnswer, dataset: Dataset) -> LikelihoodAnswer:
-    """The answer without effects with which an error of the held-out flights rises by more than chance.
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """An answer, its noise beside what it leaves, a gust that is surely there, and the held-out flights."""
 
-    What fits one set of flights and not the next is no physics, however sure the model of the noise makes it. The worst
-    is taken back first.
+    answer: LikelihoodAnswer
+    left: LeftOver
+    gust: Gust | None
+    held_out: HeldOut
+
+
+def _judged(answer: LikelihoodAnswer, left: LeftOver, dataset: Dataset) -> _Judged:
+    gust = _gust(answer, left)
+    answer = answer.with_noise(left.noise, slow=gust is None)
+    return _Judged(answer, left, gust, HeldOut(answer.noise, dataset.held_out))
+
+
+def _refuted_by(judged: _Judged) -> list[Refused]:
+    """Effects with which an error of the held-out flights rises by more than chance, the worst first.
+
+    What fits one set of flights and not the next is no physics, however sure the model of the noise makes it.
     """
-    judged = HeldOut(answer.noise, dataset.held_out)
-    while answer.named and judged.worse_channels(answer.vehicle_without, answer.accepted.fit.vehicle):
+    answer, held_out, refuted = judged.answer, judged.held_out, list[Refused]()
+    while answer.named and held_out.worse_channels(answer.vehicle_without, answer.accepted.fit.vehicle):
         rises = [
             (change.rise, kind, change, one)
             for one in answer.named
-            for kind, change in judged.worse_channels(_without(answer, one), answer.accepted.fit.vehicle).items()
+            for kind, change in held_out.worse_channels(_without(answer, one), answer.accepted.fit.vehicle).items()
         ]
         if not rises:
             break
         _, kind, change, one = max(rises, key=lambda each: each[0])
-        detail = {"before": change.before, "after": change.after}
-        own, values = one.candidate, answer.search.named_values(answer.result.best)[one.number]
-        answer = answer.without([Refused(own.effect.name, own.rotor, "held_out_worse", detail, kind, values)])
-    return answer
+        fitted = answer.accepted.fit
+        candidate = next(c for c in fitted.candidates if c.identity == one.candidate.identity)
+        sizes = {"before": change.before, "after": change.after}
+        refuted.append(refused_of(fitted, candidate, "held_out_worse", kind, **sizes))
+        answer = answer.without(refuted[-1:])
+    return refuted
 
 
 def _without(answer: LikelihoodAnswer, one: Named) -> Vehicle:

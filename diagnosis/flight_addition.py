@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
-import numpy as np
 
 from diagnosis.addition import ADVICE
-from diagnosis.by_likelihood import NO_FILTER, fit_of, noise_of, problems_of
+from diagnosis.by_likelihood import filter_required, fit_of, noise_of, problems_of
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.held_out import HeldOut
@@ -265,10 +264,8 @@ def _as_flown(vehicle: Vehicle, catalogue: Mapping[str, Effect], dataset: Datase
     blowing = [number for number, candidate in enumerate(what.all) if candidate.key in air]
     if not blowing and not what.of_commands:
         return vehicle
-    try:
+    with filter_required():
         return fit_of(fit_set(problems, blowing).search, blowing).vehicle
-    except np.linalg.LinAlgError as error:
-        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
 
 
 def _with_history(

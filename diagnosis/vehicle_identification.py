@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from scipy.special import ndtri
 
-from diagnosis.by_likelihood import NO_FILTER, fit_of, problems_of
+from diagnosis.by_likelihood import filter_required, fit_of, problems_of
 from diagnosis.data.command_curve import lagged
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.command_gain import command_gain
@@ -206,10 +206,8 @@ def _problems(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect
 
 def _identified(problems: Sequence[Problem], members: Sequence[int], noise: Sequence[NoiseFit]) -> Identified:
     """A set about its values. noise: of each kind of logs near its best, where one was fitted."""
-    try:
+    with filter_required():
         return identify(problems, fixed_set=members, begin=noise if len(noise) == len(problems) else ())
-    except np.linalg.LinAlgError as error:
-        raise DataError(f"no filter can follow the readings of these logs ({error}). {NO_FILTER}") from error
 
 
 def _likeliest(search: Search, sets: Sequence[Sequence[int]]) -> Sequence[int]:

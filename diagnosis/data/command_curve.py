@@ -157,7 +157,7 @@ class NominalWrench:
         return np.asarray(self._squares(segment) @ self.allocation[0] / self.mass)
 
     def specific_force(self, segment: Segment) -> Floats:
-        """(m,) specific force along body z of the effects, filtered and in the regression's rows, m/s^2."""
+        """(m,) specific force along body z of the effects, filtered and in the residuals' rows, m/s^2."""
         force = self.of_effects(segment)[0]
         return segment.low_pass(simpson(force))[segment.decimated]
 

@@ -1,4 +1,4 @@
-"""The low-pass at the rows of the regression, as a banded matrix: a third of the time of filtering all rows.
+"""The low-pass at the residuals' rows, as a banded matrix: a third of the time of filtering all rows.
 
 Its rows are the filter's own responses, which do not depend on the place further from the ends than they reach.
 """
@@ -23,7 +23,7 @@ FEW = 16  # rows for each signal, from which on filtering them all is faster tha
 
 
 def filtered_rows(values: Floats, rate: float, filters: FilterThresholds, *, products: bool = False) -> Floats:
-    """(m, ...) low-pass of values (n, ...) at the rows of the regression. products: with Simpson's weights first.
+    """(m, ...) low-pass of values (n, ...) at the residuals' rows. products: with Simpson's weights first.
 
     Of a model that has diverged the values are infinite, and the result is no number, which those who fit it look for.
     """

@@ -1,4 +1,4 @@
-"""Filters of equation-error regression: the same on both sides of the equation, after all products are formed."""
+"""Filters of residuals: the same on both sides of the equation of motion, after all products are formed."""
 
 from __future__ import annotations
 
@@ -87,11 +87,11 @@ def advanced(values: Floats, rate: float, by: float) -> Floats:
 
 
 def decimation(rate: float, filters: FilterThresholds) -> int:
-    """Number of rows at rate Hz for each row of the regression."""
+    """Number of rows at rate Hz for each row of the residuals."""
     return max(1, round(rate / filters.rate))
 
 
 def decimated_rows(count: int, rate: float, filters: FilterThresholds) -> slice:
-    """The rows of the regression among `count` at rate Hz, without the ends that the filters spoil."""
+    """The rows of the residuals among `count` at rate Hz, without the ends that the filters spoil."""
     edge = int(np.ceil(filters.edge * rate))
     return slice(edge, count - edge, decimation(rate, filters))

@@ -54,7 +54,7 @@ class Segment:
     battery_ratio: (n,) voltage over the full battery's, None if not logged.
     pose_source: whether the pose is motion capture's or an estimator's, which used the accelerometer.
     lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
-    filters: of both sides of the regression.
+    filters: of the residuals, on both sides of the equation.
     carried_mass: mass over the vehicle file's body, with which rotor speeds were taken from commands.
     without_noise: the segment itself where noise was added to it; hidden states begin as there.
     workspace: what was computed of it.
@@ -99,26 +99,26 @@ class Segment:
 
     @property
     def decimated_rate(self) -> float:
-        """Of the rows of the regression, Hz."""
+        """Of the residuals' rows, Hz."""
         return self.rate / decimation(self.rate, self.filters)
 
     @property
     def decimated(self) -> slice:
-        """The rows of the regression among the segment's."""
+        """The residuals' rows among the segment's."""
         return decimated_rows(len(self), self.rate, self.filters)
 
     @property
     def decimated_times(self) -> Floats:
-        """(m,) s in the log's time, of the rows of the regression."""
+        """(m,) s in the log's time, of the residuals' rows."""
         count = len(range(*self.decimated.indices(len(self))))
         return np.asarray(self.start + self.filters.edge + np.arange(count) / self.decimated_rate)
 
     def low_pass(self, values: Floats) -> Floats:
-        """The regression's low-pass over values (n, ...)."""
+        """The residuals' low-pass over values (n, ...)."""
         return zero_phase(values, self.rate, self.filters.cutoff)
 
     def filtered(self, values: Floats, *, products: bool = False) -> Floats:
-        """(m, ...) the same at the rows of the regression. products: with Simpson's weights first."""
+        """(m, ...) the same at the residuals' rows. products: with Simpson's weights first."""
         return filtered_rows(values, self.rate, self.filters, products=products)
 
     @cached_property

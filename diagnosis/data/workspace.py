@@ -11,7 +11,7 @@ Value = TypeVar("Value")
 
 
 class Workspace:
-    """Values that were computed of one segment, regression or judge: each holds its own, which ends with it.
+    """Values that were computed of one segment, model of sensors or judge: each holds its own, which ends with it.
 
     Keys are values (numbers, names, bytes of arrays, digests of segments), not objects: what is equal is found.
     """

@@ -81,6 +81,10 @@ class ChannelNoise:
         """(12,) the part of it that sensors make; the rest is the rotors' turbulence."""
         return np.minimum(self._level(DISTURBANCES), self.floor)
 
+    @cached_property
+    def _plants(self) -> list[Plant]:
+        return [problem.plant() for problem in self.problems]
+
     def floor_of(self, rows: Sequence[Floats]) -> Floats:
         """(12,) the floor, at most the error itself (m, 12): flights may be quieter than those that the noise is of."""
         return np.minimum(self.floor, np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)))
@@ -101,10 +105,10 @@ class ChannelNoise:
 
     def _density(self, frequency: Floats, without: Collection[str]) -> Floats:
         total, rows = np.zeros((channels.CHANNELS, len(frequency))), 0
-        for problem, fit in zip(self.problems, self.fits, strict=True):
+        for problem, plant, fit in zip(self.problems, self._plants, self.fits, strict=True):
             count, segment = sum(map(len, problem.flights)), problem.flights[0].segment
             passed = _low_pass_gain(segment.rate, segment.filters.cutoff, frequency) ** 2
-            total += count * passed * channel_density(problem.plant(), fit, frequency, without)
+            total += count * passed * channel_density(plant, fit, frequency, without)
             rows += count
         return total / rows
 

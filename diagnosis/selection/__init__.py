@@ -1,1 +1,1 @@
-"""Candidates, and the regression over them: of residuals, their noise and the gust."""
+"""Candidates: the effects that logs could show."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from dash import no_update
 
+from studio.app import evidence_card
 from studio.app.evidence_card import _errors_figure
 from studio.work.results import GRID, Slider
 
@@ -30,3 +34,20 @@ def test_a_value_that_was_not_fitted_has_errors_and_no_score() -> None:
     assert {trace.name for trace in figure.data}.isdisjoint({"score"})
     assert len(figure.data) == 3
     assert len(figure.layout.shapes) == 2
+
+
+def test_a_card_with_its_result_is_not_drawn_again_when_the_job_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its lines, which a slider draws into it, were gone then."""
+    opened = SimpleNamespace(
+        job=SimpleNamespace(step="explain:mass"),
+        case=SimpleNamespace(key=lambda _: "state", has_result=lambda _: True),
+        failure=None,
+        refusal=lambda _: None,
+        result=lambda *_, **__: "result",
+    )
+    monkeypatch.setattr(evidence_card, "opened_at", lambda *_: opened)
+    monkeypatch.setattr(evidence_card, "_evidence", lambda *_: "card")
+    first = evidence_card._show(None, [{"key": "mass"}], 1, None, "/case/a", "light")
+    assert first[0] == "card"
+    opened.job = None
+    assert evidence_card._show(None, [{"key": "mass"}], 2, first[1], "/case/a", "light") == (no_update, no_update)
