@@ -89,8 +89,8 @@ def diagnose_dataset(
     thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
-    whole = _borne_out(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.9))
-    answer, rest, gust, judged = whole.answer, whole.left, whole.gust, whole.held_out
+    outcome = _borne_out(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.9))
+    answer, rest, gust, judged = outcome.answer, outcome.left, outcome.gust, outcome.held_out
     accepted, refused = answer.accepted, answer.accepted.refused
     effects = answer.missing()
     if gust is not None:
