@@ -21,14 +21,25 @@ LINES = (
 RIGHT = EffectUse("inertia", {"ratio_x": 1.0, "ratio_y": 1.0, "ratio_z": 1.0})
 
 
-def test_commands_that_answer_turbulence_do_not_enlarge_the_inertia(arpl_250g):
+@pytest.fixture(scope="module")
+def in_turbulence(arpl_250g):
+    """Ratios of inertia about x and y, 1 in truth, of commands in four times the usual turbulence."""
     vehicle = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.03}))
     flights = compiled_flights(vehicle, [], catalogue=CATALOGUE, seed=1, noise=4.0, commands=True, manoeuvres=LINES)
     estimates = fitted_to(flights, vehicle, RIGHT).estimates
-    for axis in "xy":
-        ratio = estimates["inertia", f"ratio_{axis}"]
+    return [estimates["inertia", f"ratio_{axis}"] for axis in "xy"]
+
+
+def test_the_interval_of_an_inertia_allows_for_commands_that_answer_turbulence(in_turbulence):
+    for ratio in in_turbulence:
         assert ratio.value == pytest.approx(1.0, abs=2 * ratio.std)
         assert ratio.std < 0.2
+
+
+@pytest.mark.xfail(strict=True, reason="1.26 about one axis by the likelihood, with a deviation of 0.13 to 0.2")
+def test_commands_that_answer_turbulence_do_not_enlarge_the_inertia(in_turbulence):
+    for ratio in in_turbulence:
+        assert ratio.value == pytest.approx(1.0, abs=min(0.25, 2 * ratio.std))
 
 
 def test_each_flight_has_a_clock_of_its_own_beside_the_delay_of_all(arpl_250g):
