@@ -28,6 +28,7 @@ from diagnosis.likelihood.evidence import IMPOSSIBLE
 from diagnosis.models.channels import channel_name
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
+from diagnosis.one_thread import one_thread
 from diagnosis.report import ChannelError, CommandGain, Diagnosis, refusal_sentence
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds, Thresholds
@@ -70,6 +71,7 @@ class Addition:
     notes: tuple[str, ...]
 
 
+@one_thread
 def add_effect(
     name: str | None,
     dataset: Dataset,

@@ -16,6 +16,7 @@ from diagnosis.estimation.channel_noise import ChannelNoise
 from diagnosis.estimation.evaluation import floor_norms, residuals
 from diagnosis.models import channels
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
+from diagnosis.one_thread import one_thread
 from diagnosis.regimes import (
     Failure,
     Plane,
@@ -86,6 +87,7 @@ class ComparisonDetails:
     noise: ChannelNoise
 
 
+@one_thread
 def compare_dataset(
     dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
 ) -> ComparisonDetails:

@@ -25,6 +25,7 @@ from diagnosis.likelihood.left_over import LeftOver, left_over
 from diagnosis.likelihood.named import Named
 from diagnosis.models.command_effects import AS_GAIN, BESIDE_THE_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
+from diagnosis.one_thread import one_thread
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import CommandGain, Diagnosis, MissingEffect, ParameterValue
 from diagnosis.selection.candidates import Identity
@@ -77,6 +78,7 @@ class DiagnosisDetails:
     followed: tuple[FollowedFlight, ...] = ()
 
 
+@one_thread
 def diagnose_dataset(
     dataset: Dataset,
     vehicle: Vehicle,

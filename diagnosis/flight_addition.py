@@ -23,6 +23,7 @@ from diagnosis.in_flight import (
     is_shown,
 )
 from diagnosis.likelihood.given_set import fit_set
+from diagnosis.one_thread import one_thread
 from diagnosis.report import ChannelError, ParameterValue
 from diagnosis.thresholds import DEFAULT, InFlightThresholds
 from diagnosis.verdict import channel_errors
@@ -120,6 +121,7 @@ def require_own_flight(followed: FollowedFlight, vehicle: Vehicle, catalogue: Ma
         )
 
 
+@one_thread
 def add_followed(
     followed: FollowedFlight,
     vehicle: Vehicle,

@@ -11,6 +11,7 @@ from diagnosis.addition_report import OpenLoop
 from diagnosis.by_likelihood import noise_of
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.held_out import HeldOut
+from diagnosis.one_thread import one_thread
 from diagnosis.report import ChannelError
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
@@ -34,6 +35,7 @@ class Proof(msgspec.Struct, frozen=True):
     open_loop: OpenLoop
 
 
+@one_thread
 def prove_versions(
     dataset: Dataset,
     first: Vehicle,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from diagnosis.data.dataset import read_flights
+from diagnosis.one_thread import one_thread
 from diagnosis.thresholds import DEFAULT
 from diagnosis.vehicle_identification import Constant, Identification, identify_vehicle, with_yaw_inertia
 from dynamics.autopilot_frames import FRAMES
@@ -39,6 +40,7 @@ class LogVehicle:
     identified: Identification | None
 
 
+@one_thread
 def vehicle_from_logs(
     logs: Sequence[str | Path],
     *,

@@ -16,6 +16,7 @@ from cmaes import SepCMA
 from diagnosis.experiment.expectation import Expectation, ExpectedInterval, lap_times
 from diagnosis.experiment.multisine import Family, Lap
 from diagnosis.experiment.request import ExperimentRequest, named_effects, volume
+from diagnosis.one_thread import one_thread
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.errors import RequestError
@@ -68,6 +69,7 @@ class PlannedFlight:
         return write_table(self.reference, Path(path), notes)
 
 
+@one_thread
 def plan_flight(
     vehicle: Vehicle,
     request: ExperimentRequest,
