@@ -252,6 +252,7 @@ def inputs(
             speeds, age = slope[:, SPEEDS : SPEEDS + count], slope[:, SPEEDS + count, None]
             readings[:, 12:, place] = speeds - along.spin_up * age
 
+    swinging = any(has_states(catalogue[use.name]) for use in uses)
     for layer in _layers(what, chosen, vehicle, catalogue):
         merged, free, columns = {(u.name, u.rotor): u for u in uses}, [], []
         for i in layer:
@@ -261,7 +262,7 @@ def inputs(
             free += [f"{candidate.key}.{name}" for name in candidate.free]
             columns += what.places(i)
         model = FlightModel(vehicle, list(merged.values()), catalogue)
-        set_outputs(columns, _slopes(model, rows, along, starts.of(layer), free))
+        set_outputs(columns, _slopes(model, rows, along, starts.of(layer), free, through_states=swinging))
     for i in chosen:
         if what.all[i].effect.rotor_speed is not None:
             moved = np.einsum("tar,tr->ta", along.by_rotor, _moved_speeds(rows, along, what.all[i], i in fitted))
@@ -271,7 +272,7 @@ def inputs(
     unknown = {n.of: i for i, n in enumerate(what.nuisances, len(what.columns)) if n.kind == "start"}
     if unknown:
         own = FlightModel(vehicle, uses, catalogue)
-        set_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown]))
+        set_outputs([*unknown.values()], _slopes(own, rows, along, starts.of(()), [*unknown], through_states=True))
     first = 1 + len(used) - (what.width - len(what.columns))
     of_discrepancies = first + len(what.nuisances)
     errors = slice(first, of_discrepancies)
@@ -328,10 +329,20 @@ def _set_discrepancies(
 
 
 def _slopes(
-    model: FlightModel, rows: FlightRows, along: Along, starts: Mapping[str, float], free: Sequence[str]
+    model: FlightModel,
+    rows: FlightRows,
+    along: Along,
+    starts: Mapping[str, float],
+    free: Sequence[str],
+    *,
+    through_states: bool,
 ) -> list[Floats]:
     """(N, 19 + rotors) slopes of the model's outputs in each parameter, or start of hidden states; zero in those of
-    effects whose hidden states cannot be followed along this flight."""
+    effects whose hidden states cannot be followed along this flight.
+
+    through_states: whether parameters act through hidden states, too; through those of effects that are neutral no
+    parameter does.
+    """
     hidden, driving = model.hidden, model.driving(rows, along.reference)
     path = model.hidden_path(rows, driving, starts)
     finite = np.isfinite(path).all(axis=0)
@@ -342,7 +353,7 @@ def _slopes(
     if named:
         slopes = dict(zip(named, model.parameter_slopes(rows, along, named, path).transpose(1, 0, 2), strict=True))
     followed = [name for name in free if name.split(".")[0] not in lost]
-    moving = [name for name in followed if name not in slopes or hidden.depends_on(name)]
+    moving = [name for name in followed if name not in slopes or (through_states and hidden.depends_on(name))]
     if moving:
         here = model.outputs(rows, along, path)
         slopes |= {name: model.hidden_slope(rows, along, driving, starts, name, here) for name in moving}
