@@ -265,10 +265,12 @@ def _discrete_slopes(
         moved[place] += STEP
         values = dict(zip(names, np.exp(moved), strict=True))
         there = composition.parts(values, plant.conditions, here, name)
-        if all(_has_dynamics_of(one, other) for one, other in zip(here, there, strict=True)):
+        changed = [(one, other) for one, other in zip(here, there, strict=True) if one is not other]
+        if all(_has_dynamics_of(one, other) for one, other in changed):
+            before, after = zip(*changed, strict=True)
             linear.append(place)
-            Qc.append(_by_name(there, base.noises, "noises", "Qc") - _by_name(here, base.noises, "noises", "Qc"))
-            R.append(_by_name(there, base.outputs, "outputs", "R") - _by_name(here, base.outputs, "outputs", "R"))
+            Qc.append(_by_name(after, base.noises, "noises", "Qc") - _by_name(before, base.noises, "noises", "Qc"))
+            R.append(_by_name(after, base.outputs, "outputs", "R") - _by_name(before, base.outputs, "outputs", "R"))
             continue
         other = _over_row(compose(there), plant)
         made[place] = DiscreteModel(
@@ -282,7 +284,7 @@ def _discrete_slopes(
 
 def _has_dynamics_of(one: LinearModel, other: LinearModel) -> bool:
     """Whether two state spaces differ in their noises' intensities at most."""
-    return one is other or all(np.array_equal(getattr(one, x), getattr(other, x)) for x in ("F", "L", "H", "D"))
+    return all(np.array_equal(getattr(one, x), getattr(other, x)) for x in ("F", "L", "H", "D"))
 
 
 def _by_name(parts: Sequence[LinearModel], names: Sequence[str], of: str, value: str) -> Floats:
