@@ -422,6 +422,9 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("diagnosis",),
             ("--kind", "rotor drag, nine flights"),
         ),
+        "additions": Measurement(
+            "benchmarks.additions:additions", ("additions",), DIAGNOSIS, ("--loops", "1", *NOT_KEPT)
+        ),
     },
 }
 SCRIPTS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # that still have a command of their own
