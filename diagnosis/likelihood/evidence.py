@@ -21,6 +21,7 @@ from diagnosis.likelihood.columns import Candidates
 from diagnosis.likelihood.gain import NoiseSlopes
 from diagnosis.likelihood.problem import Information, Problem
 from diagnosis.models.command_effects import prior_deviation
+from diagnosis.selection.candidates import Candidate
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -225,13 +226,20 @@ def prior_stds(what: Candidates, vehicle: Vehicle, fitted: Sequence[int]) -> Flo
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A set of candidates. evidence: log of its odds against the vehicle file. values: (c,) of its columns.
-    covariance: (c, c)."""
+    """A set of candidates. evidence: log of its odds against the vehicle file. fit: of this what the log-likelihood
+    gains. values: (c,) of its columns. covariance: (c, c)."""
 
     members: tuple[int, ...]
     evidence: float
+    fit: float
     values: Floats
     covariance: Floats
+
+
+def looks_like(one: Candidate, other: Candidate) -> bool:
+    """Whether the catalogue says that two effects look alike, on one rotor where both are of one."""
+    names = one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
+    return names and (one.rotor == other.rotor or None in (one.rotor, other.rotor))
 
 
 class Search:
@@ -282,9 +290,9 @@ class Search:
 
     def _score(self, members: tuple[int, ...]) -> Scored:
         if not members:
-            return Scored((), 0.0, np.zeros(0), np.zeros((0, 0)))
+            return Scored((), 0.0, 0.0, np.zeros(0), np.zeros((0, 0)))
         c = [place for i in members for place in self.columns[i]]
-        nothing = Scored(members, IMPOSSIBLE, np.zeros(len(c)), np.zeros((len(c), len(c))))
+        nothing = Scored(members, IMPOSSIBLE, IMPOSSIBLE, np.zeros(len(c)), np.zeros((len(c), len(c))))
         if len({self.what.all[i].identity for i in members}) < len(members):
             return nothing
         if self._one_of is not None and sum(i in self._one_of for i in members) > 1:
@@ -302,7 +310,7 @@ class Search:
         possible = self.within(members, values, slack)
         if possible is None:
             return nothing
-        return Scored(members, float(evidence), possible, covariance * std * std[:, None])
+        return Scored(members, float(evidence), quadratic / 2, possible, covariance * std * std[:, None])
 
     def within(self, members: tuple[int, ...], values: Floats, slack: Floats) -> Floats | None:
         """Values (c,) within the parameters' bounds; None where one exceeds them, or a fixed shape is none.
@@ -350,11 +358,23 @@ class Search:
             here = near
 
     def rivals(self, scored: Scored, member: int, within: float) -> list[int]:
-        """Candidates that, for a member, make a set whose log-evidence is less by no more than `within`."""
+        """Candidates that, for a member, make a set whose log-evidence is less by no more than `within`.
+
+        Of effects that look alike by the catalogue those that fit as well: the one with more parameters holds the other
+        as a special case, and what is odd about that is their priors' widths alone. A candidate is linear about its
+        neutral value, and errs by the square of its size.
+        """
         rest = [i for i in scored.members if i != member]
-        taken = {self.what.all[i].identity for i in scored.members}
+        taken, one = {self.what.all[i].identity for i in scored.members}, self.what.all[member]
         others = [i for i in self.able if self.what.all[i].identity not in taken]
-        return [i for i in others if self.score([*rest, i]).evidence >= scored.evidence - within]
+        sets = {i: self.score([*rest, i]) for i in others}
+        lost = within + self.problem.thresholds.linear * (scored.fit - self.score(rest).fit)
+        return [
+            i
+            for i, each in sets.items()
+            if each.evidence >= scored.evidence - within
+            or (looks_like(one, self.what.all[i]) and each.fit >= scored.fit - lost)
+        ]
 
     def _near(self, here: Scored) -> list[Scored]:
         members = here.members

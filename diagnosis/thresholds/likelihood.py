@@ -27,6 +27,8 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
         of each second. [decisions: calibrated on other seeds than the page's, and on its recordings]
     named: log of the odds of the best set against that without an effect, from which on it is named; within it
         others are as likely in its place. [convention: 20 to 1]
+    linear: of what an effect gains, by which one that looks like it may fit worse and be as likely: its column is
+        linear about its neutral value. [formula: the square of a size of a tenth]
     form: of what effects make, over which what is left of a function of the state refutes their form. [decisions:
         right forms leave 0.00 to 0.14, a form in place of another from 0.3]
     max_left: discrepancies that are sought beside each other. [cost]
@@ -55,6 +57,7 @@ class LikelihoodThresholds(ThresholdGroup, frozen=True):
     settled_step: Positive = 0.3
     trusted: Positive = 2.0
     named: Positive = 3.0
+    linear: Share = 0.01
     form: Share = 0.2
     max_left: Count = 6
     line_turns: Positive = 3.0

@@ -163,6 +163,22 @@ def test_a_rival_makes_a_set_that_is_nearly_as_likely():
         assert rivals == others
 
 
+@pytest.mark.parametrize(("other", "alike"), [("thrust_constant", True), ("linear_drag", False)])
+def test_what_looks_like_an_effect_and_fits_as_well_is_its_rival_however_wide_its_prior(other, alike):
+    """A rotor with equal losses of thrust and torque has one parameter more than a speed sensor that reads too high."""
+    problem, parts, _, _ = made_up(np.random.default_rng(6))
+    names = [c.effect.name for c in problem.what.all]
+    mass, second = names.index("mass"), names.index(other)
+    for part in parts:
+        part.M[:, second], part.g[:, second] = part.M[:, mass], part.g[:, mass]
+        part.M[:, :, second] = part.M[:, :, mass]
+    search = search_of(problem, parts)
+    search.std[second] = 1e4 * search.std[mass]
+    best = search.score((mass,))
+    assert search.score((second,)).evidence < best.evidence - 6
+    assert (second in search.rivals(best, mass, 3.0)) == alike
+
+
 def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
     problem, parts, _, _ = made_up(np.random.default_rng(7))
     search = search_of(problem, parts)
