@@ -10,17 +10,15 @@ read again, until these change no more.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import msgspec
 import numpy as np
-import scipy
 from scipy.special import ndtri
 
 from diagnosis.by_likelihood import filter_required, fit_of, problems_of
-from diagnosis.data.command_curve import lagged
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
@@ -30,8 +28,8 @@ from diagnosis.likelihood.identify import Identified, identify
 from diagnosis.likelihood.noise_fit import NoiseFit
 from diagnosis.likelihood.problem import Problem
 from diagnosis.models.command_effects import BEND
+from diagnosis.signal_curve import SignalFit, signal_fit
 from diagnosis.thresholds import DEFAULT
-from dynamics.arrays import Floats
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.effects import CATALOGUE
 from dynamics.effects.inertia import EFFECT as INERTIA
@@ -159,7 +157,7 @@ def identify_vehicle(
     flights: at one rate. vehicle: where the estimation begins. fit_curve: estimate the signal's curve too.
     Raises DataError where the flights cannot answer.
     """
-    signal = _signal_fit(flights)
+    signal = signal_fit(flights)
     if signal is not None:
         vehicle = _with_rotors(
             vehicle, speed_max=signal.speed_max.value, thrust_curve=min(max(signal.curve.value, 0.0), 1.0)
@@ -379,68 +377,12 @@ def _hover_signal(vehicle: Vehicle) -> float:
     return (math.sqrt((1 - curve) ** 2 + 4 * curve * share) - (1 - curve)) / (2 * curve)
 
 
-@dataclass(frozen=True)
-class _SignalFit:
-    """Rotor speed over motor signal, where both were logged."""
-
-    speed_max: Constant
-    curve: Constant
-    lag: Constant
-
-
-def _signal_fit(flights: Sequence[Flight]) -> _SignalFit | None:
-    """Squared speed = speed_max^2 (c s^2 + (1 - c) s) of the lagged signal s, in parts for the intervals.
-
-    None where a flight has not both.
-    """
-    if not all(flight.has("rotor_speed", "rotor_command") for flight in flights):
-        return None
-    parts = [part for flight in flights for part in _signal_parts(flight)]
-    fits = [_signal_curve(*part) for part in parts]
-    if len(fits) < 2:
-        return None
-    columns = np.array(fits)
-    middle, spread = np.median(columns, axis=0), np.std(columns, axis=0, ddof=1) / math.sqrt(len(fits))
-    speed, curve, lag = (
-        Constant(float(m), NORMAL * float(s), u) for m, s, u in zip(middle, spread, ("rad/s", "1", "s"), strict=True)
-    )
-    return _SignalFit(speed, curve, lag) if speed.value > 0 and math.isfinite(speed.value) else None
-
-
-def _signal_parts(flight: Flight) -> Iterator[tuple[Floats, Floats, float]]:
-    signal, speed = flight["rotor_command"], flight["rotor_speed"]
-    finite = np.isfinite(signal).all(axis=1) & np.isfinite(speed).all(axis=1)
-    loaded = finite & (np.sum(signal, axis=1) > LIMITS.min_loaded * np.nanpercentile(np.sum(signal, axis=1), 90))
-    rows = np.flatnonzero(loaded)
-    if len(rows) < LIMITS.signal_parts * flight.rate:
-        return
-    inside = slice(rows[0], rows[-1] + 1)
-    for s, w, good in zip(
-        *(np.array_split(a[inside], LIMITS.signal_parts) for a in (signal, speed, loaded)), strict=True
-    ):
-        if good.mean() > LIMITS.min_part:
-            yield s[good], w[good], flight.rate
-
-
-def _signal_curve(signal: Floats, speed: Floats, rate: float) -> tuple[float, float, float]:
-    """(speed at full signal, curve, lag) of one part."""
-    best = (math.inf, 0.0, 0.0, 0.0)
-    for lag in np.arange(0.0, LIMITS.max_lag + LIMITS.lag_step / 2, LIMITS.lag_step):
-        x = lagged(signal, rate, float(lag))[round(rate / 2) :].ravel()
-        y = (speed[round(rate / 2) :] ** 2).ravel()
-        scale = float(np.mean(y))
-        solved = scipy.optimize.lsq_linear(np.column_stack([x**2, x]), y / scale, bounds=(0, np.inf))
-        full = float(np.sum(solved.x)) * scale
-        best = min(best, (float(solved.cost), math.sqrt(full), float(solved.x[0]) * scale / full, float(lag)))
-    return best[1:]
-
-
 def _identification(
     start: Vehicle,
     vehicle: Vehicle,
     fitted: Fit,
     dataset: Dataset,
-    signal: _SignalFit | None,
+    signal: SignalFit | None,
     chi_square: float,
 ) -> Identification:
     ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
@@ -470,7 +412,7 @@ def _identification(
         yaw_gain=gain,
         yaw_inertia=None if torque is None else z,
         motor_lag=lag,
-        speed_max=None if signal is None else signal.speed_max,
+        speed_max=None if signal is None else _in_95(signal.speed_max),
         drag=next(key for key in fitted.keys if key in DRAGS),
         is_measured=dataset.fitted[0].rotor_source == "measured",
         hover=_hover_signal(vehicle) if curve is not None else None,
@@ -482,17 +424,22 @@ def _identification(
 
 
 def _curve_and_lag(
-    start: Vehicle, fitted: Fit, dataset: Dataset, signal: _SignalFit | None
+    start: Vehicle, fitted: Fit, dataset: Dataset, signal: SignalFit | None
 ) -> tuple[Constant | None, Constant | None]:
     """Of the rotors behind their signal, where the flights show them."""
     if signal is not None:
-        return signal.curve, signal.lag
+        return _in_95(signal.curve), _in_95(signal.lag)
     bend = _curve(start, fitted, dataset)
-    curve = None if bend is None else Constant(bend.value, NORMAL * bend.std, "1")
+    curve = None if bend is None else _in_95(bend)
     lag = fitted.estimates.get((MOTOR_LAG.name, "time_constant"))
     if lag is None:
         return curve, None
     return curve, Constant(lag.value, math.hypot(NORMAL * lag.std, LIMITS.lag_error * lag.value), "s")
+
+
+def _in_95(estimate: ParameterEstimate) -> Constant:
+    """A value with its interval of 95 %."""
+    return Constant(estimate.value, NORMAL * estimate.std, estimate.unit)
 
 
 def _extrapolation(vehicle: Vehicle, curve: Constant | None) -> float:
