@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.agreement import correlations
 from flights.alignment import resample
-from flights.hypotheses.hypothesis import Hypothesis, Streams, is_better
+from flights.hypotheses.hypothesis import CLEARER, Hypothesis, Streams, rise
 from flights.hypotheses.motion import GRID_RATE, MAX_ROWS, Motion
 from flights.log import Stream
 from flights.quantities import MOTION, ROTORS
@@ -27,7 +27,9 @@ _REACH = 60.0  # s by which clocks may differ
 _MIN_OVERLAP = 10.0  # s that are compared
 _CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
 _FOLLOWS = 0.7  # correlation of the sizes of turning and rates at the right shift,
-_CLEARER = 1.0  # in Fisher's z, by which that at a large shift exceeds the declared one's: of many one does by chance
+_CLEARER_FAR = (
+    1.0  # in Fisher's z, by which that at a large shift exceeds the declared one's: of many one does by chance
+)
 _UNIQUE = 0.03  # by which it exceeds that at any other shift further than a second
 _SMALL = 0.5  # s, a shift that is likelier than a larger one: a periodic flight fits itself a period later
 
@@ -102,8 +104,8 @@ def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, 
     (start, one), (begin, other) = ours, others
     shift, follows, without = _best_shift(one, other, round((begin - start) * GRID_RATE))
     late = round(begin - start - shift / GRID_RATE, 3)  # s by which the other's stamps are late
-    clear = is_better(follows, without) if abs(late) <= _SMALL else _rise(follows, without) >= _CLEARER
-    if follows < _FOLLOWS or not clear or abs(late) < _CLEAR_SHIFT:
+    required = CLEARER if abs(late) <= _SMALL else _CLEARER_FAR
+    if follows < _FOLLOWS or rise(follows, without) < required or abs(late) < _CLEAR_SHIFT:
         return None
     return Hypothesis(
         "clock",
@@ -111,12 +113,6 @@ def _offset(streams: Streams, name: str, other_name: str, late_with: tuple[str, 
         f"their sizes follow each other by {follows:.2f} at that shift, by {max(without, 0.0):.2f} without",
         tuple(StreamRepair(moved, late=late) for moved in late_with if moved in streams),
     )
-
-
-def _rise(follows: float, without: float) -> float:
-    """Rise of a correlation in Fisher's z, which chance moves alike whatever the correlation is (Fisher, 1921)."""
-    almost = 1 - 1e-9
-    return float(np.arctanh(min(follows, almost)) - np.arctanh(np.clip(without, -almost, almost)))
 
 
 def _sizes(stream: Stream) -> tuple[float, Floats] | None:

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
+import numpy as np
 
 from flights.log import Stream
 from flights.stream_repair import TIME, StreamRepair, apply, toml_value
 
 Streams = Mapping[str, Stream]  # by quantity
-_BETTER = 1 / 3  # share of what is open as declared
+CLEARER = 0.5  # in Fisher's z, by which another reading exceeds the declared one: errors of an estimator favour some
+_ALMOST = 1 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,20 @@ def in_words(hypotheses: Sequence[Hypothesis]) -> str:
     return f"{'; '.join(texts)}. Wanted SI units, ENU and FLU, by one clock; {Hypothesis('', '', '', repairs).advice}."
 
 
+def rise(follows: float, without: float) -> float:
+    """Rise of a correlation in Fisher's z, which chance moves alike whatever the correlation is (Fisher, 1921)."""
+    return float(np.arctanh(min(follows, _ALMOST)) - np.arctanh(np.clip(without, -_ALMOST, _ALMOST)))
+
+
 def is_better(share: float, declared: float) -> bool:
-    """Whether a share of a signal that another reading explains is clearly more than the declared one does: of what
-    that leaves open, one of many readings explains a little by chance, the more the larger an estimator's error is."""
+    """Whether a share of a signal that another reading explains is clearly more than the declared one does."""
     return share >= better_than(declared)
 
 
 def better_than(declared: float) -> float:
-    """The share that is clearly more than a declared one."""
-    return declared + _BETTER * (1 - declared)
+    """The share that is clearly more than a declared one: shares are squared correlations."""
+    correlation = np.sqrt(np.clip(declared, 0.0, _ALMOST))
+    return float(np.tanh(np.arctanh(correlation) + CLEARER) ** 2)
 
 
 def after(streams: Streams, hypothesis: Hypothesis) -> dict[str, Stream]:
