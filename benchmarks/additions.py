@@ -28,7 +28,7 @@ SETS = ("planted", "captured", "estimated", "px4_like", "many", "nothing")
 MAX_STEPS = 6
 INTERVAL = 1.96  # standard deviations of 95 %
 RISEN = 1.02  # factor on an error
-UNSEEN = "unseen_*"  # names of the flights on which both versions are judged
+HELD_OUT = "aside_*"  # names of the flights on which both versions are judged
 
 
 def additions(words: Sequence[str]) -> Page | None:
@@ -61,14 +61,14 @@ def looped(case: Case) -> Result:
             return {"key": case.key, "lost": "the vehicle kept no path"}
         own = Path(folder) / "logs"
         own.mkdir()
-        used, unseen = _divided(posed, own)
-        if not unseen:
+        used, others = _divided(posed, own)
+        if not others:
             return {"key": case.key, "lost": "one flight"}
         first = posed.vehicle if isinstance(posed.vehicle, Vehicle) else read_vehicle(posed.vehicle)
         last, steps, stopped = _until_it_stops(used, first)
         result = {"key": case.key, "hidden": dict(posed.expected.hidden), "steps": steps, "stopped": stopped}
         false = {name for step in steps for name in step["effects"]} - _true(posed)
-        return {**result, "false": sorted(false)} | (_compared(used + unseen, first, last) if steps else {})
+        return {**result, "false": sorted(false)} | (_compared(used + others, first, last) if steps else {})
 
 
 def _true(posed: Posed) -> set[str]:
@@ -79,17 +79,17 @@ def _true(posed: Posed) -> set[str]:
 
 def _divided(posed: Posed, folder: Path) -> tuple[list[Path], list[Path]]:
     """Logs to add from, and every third to judge by."""
-    used, unseen = list[Path](), list[Path]()
+    used, others = list[Path](), list[Path]()
     for number, log in enumerate(posed.logs):
         aside = number % 3 == 2 or (len(posed.logs) == 2 and number == 1)
-        name = f"{'unseen' if aside else 'flight'}_{number}"
+        name = f"{'aside' if aside else 'flight'}_{number}"
         if isinstance(log, Flight):
             path = log.to_parquet(folder / f"{name}.parquet")
         else:
             path = folder / f"{name}{''.join(log.suffixes)}"
             path.symlink_to(log)
-        (unseen if aside else used).append(path)
-    return used, unseen
+        (others if aside else used).append(path)
+    return used, others
 
 
 def _until_it_stops(logs: Sequence[Path], vehicle: Vehicle) -> tuple[Vehicle, list[dict[str, Any]], str]:
@@ -121,10 +121,10 @@ def _moved(key: str, values: Mapping[str, Any], own: Mapping[str, Mapping[str, f
 
 def _compared(logs: Sequence[Path], first: Vehicle, last: Vehicle) -> dict[str, Any]:
     """Errors of both versions on the flights that were put aside."""
-    dataset = read_dataset(list(logs), first, hold_out=UNSEEN)
+    dataset = read_dataset(list(logs), first, hold_out=HELD_OUT)
     judge = HeldOut(noise_of(dataset, first, CATALOGUE), dataset.held_out)
     worse = {**judge.worse_channels(first, last), **judge.worse_open_loop(first, last)}
-    proof = alula.prove(list(logs), last, first, hold_out=UNSEEN).report
+    proof = alula.prove(list(logs), last, first, hold_out=HELD_OUT).report
     channels = {kind: (error.before, error.after, error.floor) for kind, error in proof.channels.items()}
     return {
         "worse": sorted(worse),
@@ -144,9 +144,9 @@ def _line(result: Result) -> str:
 
 
 def _page(chosen: argparse.Namespace, results: Sequence[Result]) -> Page:
-    asked = [result for result in results if "lost" not in result]
-    added = [result for result in asked if result["steps"]]
-    hidden = [result for result in asked if result["hidden"]]
+    loops = [result for result in results if "lost" not in result]
+    added = [result for result in loops if result["steps"]]
+    hidden = [result for result in loops if result["hidden"]]
 
     def counted(name: str, these: Sequence[Result], among: Sequence[Result]) -> str:
         return f"| {name} | {len(these)} of {len(among)} |"
@@ -155,7 +155,7 @@ def _page(chosen: argparse.Namespace, results: Sequence[Result]) -> Page:
         "| | loops |",
         "| --- | --- |",
         counted("something hidden, something added", [r for r in hidden if r["steps"]], hidden),
-        counted("nothing hidden, something added", [r for r in added if not r["hidden"]], _without(asked, hidden)),
+        counted("nothing hidden, something added", [r for r in added if not r["hidden"]], _without(loops, hidden)),
         counted("an effect added that is not there, nor one that no data tells apart", _with(added, "false"), added),
         counted(
             "an error of the flights put aside larger, beyond chance and what matters", _with(added, "worse"), added
@@ -165,7 +165,7 @@ def _page(chosen: argparse.Namespace, results: Sequence[Result]) -> Page:
         counted("all errors there within 1.1 of the floor", [r for r in added if r["at_floor"]], added),
         counted("a step whose every interval holds the file's value", list(_unmoved(added)), added),
         "",
-        f"Steps: {dict(sorted(Counter(len(result['steps']) for result in asked).items()))}. Seeds from {chosen.seeds}.",
+        f"Steps: {dict(sorted(Counter(len(result['steps']) for result in loops).items()))}. Seeds from {chosen.seeds}.",
         "",
         "Not there, or worse:",
         "",
