@@ -423,7 +423,7 @@ THEMES: Mapping[str, Mapping[str, Measurement]] = {
             ("--kind", "rotor drag, nine flights"),
         ),
         "additions": Measurement(
-            "benchmarks.additions:additions", ("additions",), DIAGNOSIS, ("--loops", "1", *NOT_KEPT)
+            "benchmarks.diagnosis:additions", ("additions",), DIAGNOSIS, ("--loops", "1", *NOT_KEPT)
         ),
     },
 }

@@ -368,7 +368,8 @@ class Search:
         taken, one = {self.what.all[i].identity for i in scored.members}, self.what.all[member]
         others = [i for i in self.able if self.what.all[i].identity not in taken]
         sets = {i: self.score([*rest, i]) for i in others}
-        lost = within + self.problem.thresholds.linear * (scored.fit - self.score(rest).fit)
+        gained = scored.fit - max(self.score(rest).fit, 0.0)  # what is impossible gains nothing
+        lost = within + self.problem.thresholds.linear * gained
         return [
             i
             for i, each in sets.items()

@@ -27,9 +27,7 @@ _REACH = 60.0  # s by which clocks may differ
 _MIN_OVERLAP = 10.0  # s that are compared
 _CLEAR_SHIFT = 0.08  # s, beyond which no sensor is late in a usable log: as far as the effect time_delay is searched
 _FOLLOWS = 0.7  # correlation of the sizes of turning and rates at the right shift,
-_CLEARER_FAR = (
-    1.0  # in Fisher's z, by which that at a large shift exceeds the declared one's: of many one does by chance
-)
+_CLEARER_FAR = 1.0  # in Fisher's z, by which that at a large shift does: of many one does by chance
 _UNIQUE = 0.03  # by which it exceeds that at any other shift further than a second
 _SMALL = 0.5  # s, a shift that is likelier than a larger one: a periodic flight fits itself a period later
 

@@ -179,6 +179,19 @@ def test_what_looks_like_an_effect_and_fits_as_well_is_its_rival_however_wide_it
     assert (second in search.rivals(best, mass, 3.0)) == alike
 
 
+def test_no_impossible_set_is_a_rival_where_the_other_members_alone_are_none_either():
+    problem, parts, _, _ = made_up(np.random.default_rng(6))
+    names = [c.effect.name for c in problem.what.all]
+    mass, thrust, drag = (names.index(name) for name in ("mass", "thrust_constant", "linear_drag"))
+    search = search_of(problem, parts)
+    best, impossible = search.score((mass, drag)), {"evidence": IMPOSSIBLE, "fit": IMPOSSIBLE}
+    for members in ((drag,), (thrust, drag)):
+        key = tuple(sorted(members))
+        search._scored[key] = dataclasses.replace(search.score(key), **impossible)
+    assert best.evidence != IMPOSSIBLE
+    assert thrust not in search.rivals(best, mass, 3.0)
+
+
 def test_a_set_out_of_bounds_or_of_one_effect_twice_is_impossible():
     problem, parts, _, _ = made_up(np.random.default_rng(7))
     search = search_of(problem, parts)

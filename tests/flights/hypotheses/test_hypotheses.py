@@ -14,7 +14,7 @@ from dynamics.vehicle import GRAVITY
 from fixtures.wrong_columns import MUTATIONS, Streams, attitude, in_bursts, rotation, turned, with_values
 from flights import read_log
 from flights.hypotheses import explain
-from flights.hypotheses.hypothesis import after
+from flights.hypotheses.hypothesis import after, is_better
 from flights.log import Stream
 
 DATA = Path("tests/data")
@@ -172,3 +172,19 @@ def test_an_estimators_error_of_velocity_is_no_clock_and_no_turn(seed: int, shar
     size = random.uniform(0.75, 1.25) * share * np.linalg.norm(true.std(axis=0)) / np.linalg.norm(error.std(axis=0))
     streams = {**streams, "velocity": with_values(streams["velocity"], true + size * error)}
     assert explain(list(streams.values())) == ()
+
+
+@pytest.mark.parametrize(
+    ("share", "declared", "clear"),
+    [
+        (0.92, 0.85, False),
+        (0.52, 0.5, False),
+        (0.05, 0.0, False),
+        (0.99, 0.85, True),
+        (0.999, 0.97, True),
+        (0.8, 0.5, True),
+    ],
+)
+def test_a_clearly_better_share_is_one_that_leaves_much_less_open(share: float, declared: float, clear: bool) -> None:
+    """An estimator's errors made left-handed axes of right ones for 0.92 against 0.85, and for 0.52 against 0.50."""
+    assert is_better(share, declared) == clear
